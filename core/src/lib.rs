@@ -1,0 +1,21 @@
+//! Speech in, mouth parameters out: the part of lipstream that runs on the microcontroller.
+//!
+//! `no_std`, no allocation, no floating point from the sample to the packet. The same code runs on
+//! the device, in QEMU and inside the host program, and gives the same bytes in all three.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod parameters;
+
+/// Sampling rate of all audio that enters the core.
+pub const SAMPLE_RATE_HZ: u32 = 16_000;
+/// Samples of one analysis window (25 ms).
+pub const FRAME_SAMPLES: usize = 400;
+/// Samples between the starts of two analysis windows (10 ms).
+pub const HOP_SAMPLES: usize = 160;
+/// Cepstra c1..c12.
+pub const N_CEPSTRA: usize = 12;
+/// Static coefficients of one frame: c1..c12, then the log energy E.
+pub const N_STATIC: usize = N_CEPSTRA + 1;
+/// Coefficients of one audio observation: statics, Δ, ΔΔ (HTK's `MFCC_E_D_A` order).
+pub const N_OBSERVATION: usize = 3 * N_STATIC;

@@ -1,0 +1,2 @@
+#![no_std]
+//! Board-independent firmware of lipstream.

@@ -1,0 +1,13 @@
+//! lipstream's host side: corpora, training, export, conversion, rendering, evaluation.
+//!
+//! Floats live here; `lipstream-core` is fixed-point from sample to packet and runs unchanged on the
+//! device, in QEMU and inside this library.
+#![forbid(unsafe_code)]
+
+pub mod cli;
+pub mod features;
+pub mod files;
+pub mod model;
+pub mod mouth;
+pub mod phones;
+pub mod tensors;

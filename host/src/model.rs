@@ -1,0 +1,259 @@
+//! The float model: a coupled HMM over phones and visemes, local linear visual maps, and the mouth that it
+//! moves. What `lipstream train` writes (`.safetensors`) and `lipstream export` quantises.
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use ndarray::{Array1, Array2, Array3};
+
+use crate::mouth::MouthSpace;
+use crate::phones::Phone;
+use crate::tensors::{Tensors, TensorsBuilder};
+
+/// Version of the float model file.
+pub const MODEL_VERSION: u32 = 1;
+/// Emitting states of a phone or a viseme (X&L section 7.1).
+pub const N_EMITTING: usize = 5;
+/// Transition classes of one phone: 13 inside, mouth leads, sound leads. See [`transition_class`].
+pub const N_TRANSITION_CLASSES: usize = 15;
+
+/// Gaussian mixtures with diagonal covariance, one per state.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mixtures {
+    /// `[states, K, dimensions]`
+    pub mean: Array3<f32>,
+    /// `[states, K, dimensions]`, positive.
+    pub variance: Array3<f32>,
+    /// Natural log of the weights, `[states, K]`; [`Mixtures::NO_WEIGHT`] for a component that is not used.
+    pub log_weight: Array2<f32>,
+}
+
+impl Mixtures {
+    /// Stands for ln 0 in a file that holds finite numbers only.
+    pub const NO_WEIGHT: f32 = -1e9;
+}
+
+/// Index of the 13 pairs (i, j), |i − j| ≤ 1, of audio state i and visual state j inside a phone: 0..13.
+pub fn pair_class(audio: usize, visual: usize) -> usize {
+    debug_assert!(audio < N_EMITTING && visual < N_EMITTING && audio.abs_diff(visual) <= 1);
+    3 * audio + visual - audio
+}
+
+/// Transition class of a pair whose mouth has gone on to the next viseme, (p, 5) × (m', 1).
+pub const MOUTH_LEADS: usize = 13;
+/// Transition class of a pair whose mouth is still in the last viseme, (p, 1) × (m, 5).
+pub const SOUND_LEADS: usize = 14;
+
+/// What the two chains of a joint state do next: columns of [`Model::transition`].
+/// Impossible choices (eq. 19) hold [`Mixtures::NO_WEIGHT`].
+pub mod choice {
+    pub const STAY: usize = 0;
+    pub const AUDIO_ADVANCES: usize = 1;
+    pub const VISUAL_ADVANCES: usize = 2;
+    pub const BOTH_ADVANCE: usize = 3;
+}
+
+/// The projection of stacked statics that the local linear maps read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Context {
+    /// Taps in hops relative to the frame, increasing; the last one is the look-ahead.
+    pub taps: Vec<i32>,
+    /// Mean of the stacked statics, `[taps·13]`, tap-major.
+    pub mean: Array1<f32>,
+    /// Whitened PCA, `[X, taps·13]`.
+    pub projection: Array2<f32>,
+}
+
+/// Local linear visual densities (DESIGN section 6):
+/// ôᵛ = W₀x + b₀ + Σ_v γ(v)·(W_v x + b_v).
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalLinear {
+    /// `[D, X + 1]`, the bias in the last column.
+    pub global: Array2<f32>,
+    /// `[visual states, D, X + 1]`, residual maps.
+    pub state: Array3<f32>,
+}
+
+/// Everything that training learns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// Phones that the model knows, in table order; audio state = 5·(index here) + i.
+    pub phones: Vec<Phone>,
+    /// Causal normalisation: mean of the raw statics that a stream starts from, `[13]`.
+    pub start_mean: Array1<f32>,
+    pub audio: Mixtures,
+    /// One per viseme state: 5·viseme + j.
+    pub visual: Mixtures,
+    /// Natural log, `[phones, 15, 4]` by class and choice.
+    pub transition: Array3<f32>,
+    /// Natural log of P(next | phone), `[phones, phones]`.
+    pub bigram: Array2<f32>,
+    /// Natural log of P(first phone), `[phones]`.
+    pub initial: Array1<f32>,
+    pub context: Context,
+    pub maps: LocalLinear,
+    /// Absent in a model trained on plain visual numbers.
+    pub mouth: Option<MouthSpace>,
+    /// Where the model comes from: corpus, settings, date. For people.
+    pub provenance: String,
+}
+
+impl Model {
+    pub fn n_audio_states(&self) -> usize {
+        self.phones.len() * N_EMITTING
+    }
+
+    pub fn visual_size(&self) -> usize {
+        self.maps.global.nrows()
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let mut out = TensorsBuilder::default();
+        out.note("kind", "local-linear ph-vi-chmm");
+        out.note("version", MODEL_VERSION);
+        out.note("provenance", &self.provenance);
+        out.note("phones", join(self.phones.iter().map(|p| p.name())));
+        out.note(
+            "context.taps",
+            join(self.context.taps.iter().map(|t| t.to_string())),
+        );
+        out.put("start_mean", &self.start_mean);
+        for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
+            out.put(&format!("{name}.mean"), &mixtures.mean);
+            out.put(&format!("{name}.variance"), &mixtures.variance);
+            out.put(&format!("{name}.log_weight"), &mixtures.log_weight);
+        }
+        out.put("transition", &self.transition);
+        out.put("bigram", &self.bigram);
+        out.put("initial", &self.initial);
+        out.put("context.mean", &self.context.mean);
+        out.put("context.projection", &self.context.projection);
+        out.put("maps.global", &self.maps.global);
+        out.put("maps.state", &self.maps.state);
+        if let Some(mouth) = &self.mouth {
+            mouth.store(&mut out);
+        }
+        out.write(path)
+    }
+
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::from_tensors(&Tensors::read(path)?)
+            .with_context(|| format!("{} is no usable model", path.display()))
+    }
+
+    fn from_tensors(from: &Tensors) -> Result<Self> {
+        let version: u32 = from.noted("version")?;
+        if version != MODEL_VERSION {
+            bail!("model version {version}, this program reads {MODEL_VERSION}: train it again");
+        }
+        let names: String = from.noted("phones")?;
+        let mut phones = Vec::new();
+        for name in names.split_whitespace() {
+            phones.push(Phone::from_name(name).with_context(|| format!("unknown phone {name:?}"))?);
+        }
+        let taps: String = from.noted("context.taps")?;
+        let taps = taps
+            .split_whitespace()
+            .map(str::parse)
+            .collect::<Result<Vec<i32>, _>>()?;
+        let mixtures = |name: &str| -> Result<Mixtures> {
+            Ok(Mixtures {
+                mean: from.array(&format!("{name}.mean"))?,
+                variance: from.array(&format!("{name}.variance"))?,
+                log_weight: from.array(&format!("{name}.log_weight"))?,
+            })
+        };
+        let model = Model {
+            phones,
+            start_mean: from.array("start_mean")?,
+            audio: mixtures("audio")?,
+            visual: mixtures("visual")?,
+            transition: from.array("transition")?,
+            bigram: from.array("bigram")?,
+            initial: from.array("initial")?,
+            context: Context {
+                taps,
+                mean: from.array("context.mean")?,
+                projection: from.array("context.projection")?,
+            },
+            maps: LocalLinear {
+                global: from.array("maps.global")?,
+                state: from.array("maps.state")?,
+            },
+            mouth: if from.has("mouth.mean") {
+                Some(MouthSpace::load(from)?)
+            } else {
+                None
+            },
+            provenance: from.noted("provenance")?,
+        };
+        model.check()?;
+        Ok(model)
+    }
+
+    /// Every shape fits every other, every variance is positive.
+    fn check(&self) -> Result<()> {
+        use lipstream_core::{N_OBSERVATION, N_STATIC};
+        let (p, s) = (self.phones.len(), self.n_audio_states());
+        let n_visual = crate::phones::VISEMES.len() * N_EMITTING;
+        let (d, x) = (self.visual_size(), self.context.projection.nrows());
+        let stacked = self.context.taps.len() * N_STATIC;
+        let shapes = [
+            ("start_mean", vec![N_STATIC], self.start_mean.shape().to_vec()),
+            (
+                "audio.mean",
+                vec![s, self.audio.mean.dim().1, N_OBSERVATION],
+                self.audio.mean.shape().to_vec(),
+            ),
+            (
+                "visual.mean",
+                vec![n_visual, self.visual.mean.dim().1, d],
+                self.visual.mean.shape().to_vec(),
+            ),
+            (
+                "transition",
+                vec![p, N_TRANSITION_CLASSES, 4],
+                self.transition.shape().to_vec(),
+            ),
+            ("bigram", vec![p, p], self.bigram.shape().to_vec()),
+            ("initial", vec![p], self.initial.shape().to_vec()),
+            ("context.mean", vec![stacked], self.context.mean.shape().to_vec()),
+            (
+                "context.projection",
+                vec![x, stacked],
+                self.context.projection.shape().to_vec(),
+            ),
+            ("maps.global", vec![d, x + 1], self.maps.global.shape().to_vec()),
+            (
+                "maps.state",
+                vec![n_visual, d, x + 1],
+                self.maps.state.shape().to_vec(),
+            ),
+        ];
+        for (name, want, have) in shapes {
+            if want != have || want.contains(&0) {
+                bail!("tensor {name} has shape {have:?}, expected {want:?}");
+            }
+        }
+        for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
+            let (states, k, _) = mixtures.mean.dim();
+            if mixtures.variance.shape() != mixtures.mean.shape() || mixtures.log_weight.dim() != (states, k)
+            {
+                bail!("the {name} mixtures' shapes do not agree");
+            }
+            if mixtures.variance.iter().any(|v| *v <= 0.0) {
+                bail!("the {name} mixtures hold a variance that is not positive");
+            }
+        }
+        if self.mouth.as_ref().is_some_and(|m| m.size() != d) {
+            bail!("the mouth has another number of eigenmouths than the maps have rows");
+        }
+        if !self.context.taps.is_sorted() {
+            bail!("the context taps are not in increasing order");
+        }
+        Ok(())
+    }
+}
+
+fn join<T: AsRef<str>>(items: impl Iterator<Item = T>) -> String {
+    items.map(|i| i.as_ref().to_owned()).collect::<Vec<_>>().join(" ")
+}

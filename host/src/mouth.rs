@@ -1,0 +1,66 @@
+//! The eigenmouth space (X&L section 5, eq. 12-13): mean mouth image, eigenmouths, and both ways through them.
+use anyhow::{Result, bail};
+use ndarray::{Array1, Array2, ArrayView1};
+
+use crate::tensors::{Tensors, TensorsBuilder};
+
+/// Mean and eigenmouths of colour images, rows of interleaved R, G, B in 0..255.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MouthSpace {
+    pub width: usize,
+    pub height: usize,
+    /// `[height·width·3]`, 0..255.
+    pub mean: Array1<f32>,
+    /// Orthonormal rows, `[D, height·width·3]`, largest variance first.
+    pub basis: Array2<f32>,
+    /// Standard deviation of every weight over the training images, `[D]`.
+    pub deviation: Array1<f32>,
+}
+
+impl MouthSpace {
+    /// Weights g = Ãᵀ(I − Ī) of one image (eq. 13).
+    pub fn project(&self, image: ArrayView1<f32>) -> Array1<f32> {
+        self.basis.dot(&(&image - &self.mean))
+    }
+
+    /// Image Ī + Ã g (eq. 12), not clipped to 0..255.
+    pub fn expand(&self, weights: ArrayView1<f32>) -> Array1<f32> {
+        &self.mean + &self.basis.t().dot(&weights)
+    }
+
+    /// Number of eigenmouths D.
+    pub fn size(&self) -> usize {
+        self.basis.nrows()
+    }
+
+    pub fn store(&self, to: &mut TensorsBuilder) {
+        to.put("mouth.mean", &self.mean);
+        to.put("mouth.basis", &self.basis);
+        to.put("mouth.deviation", &self.deviation);
+        to.note("mouth.width", self.width);
+        to.note("mouth.height", self.height);
+    }
+
+    pub fn load(from: &Tensors) -> Result<Self> {
+        let space = MouthSpace {
+            width: from.noted("mouth.width")?,
+            height: from.noted("mouth.height")?,
+            mean: from.array("mouth.mean")?,
+            basis: from.array("mouth.basis")?,
+            deviation: from.array("mouth.deviation")?,
+        };
+        let pixels = space.width.saturating_mul(space.height).saturating_mul(3);
+        if pixels == 0
+            || space.mean.len() != pixels
+            || space.basis.ncols() != pixels
+            || space.deviation.len() != space.basis.nrows()
+        {
+            bail!(
+                "the mouth tensors do not fit a {}×{} image",
+                space.width,
+                space.height
+            );
+        }
+        Ok(space)
+    }
+}
