@@ -2,11 +2,12 @@
 //!
 //! Floats live here; `lipstream-core` is fixed-point from sample to packet and runs unchanged on the
 //! device, in QEMU and inside this library.
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 pub mod cli;
 pub mod features;
 pub mod files;
+pub mod hmm;
 pub mod model;
 pub mod mouth;
 pub mod phones;

@@ -1,0 +1,397 @@
+//! Forward-backward over the arcs of a joint-state graph (X&L eq. A.1-A.11), scaled frame by frame.
+//!
+//! Scaling: the forward variable of every frame sums to one, so it is P(q_t | o_1..t); what it was divided by adds up
+//! to the log likelihood.
+use ndarray::Array2;
+
+use super::graph::Graph;
+
+/// A forward variable below this is taken as zero. Occupancies below it cannot matter.
+const NOTHING: f64 = 1e-150;
+
+/// What the forward pass leaves: scaled forward variables and scaled emissions.
+pub struct Forward {
+    /// P(q_t | o_1..t), `[frames, states]`.
+    pub alpha: Array2<f64>,
+    /// Emission over the frame's scale: α_t(j) = emission_t(j) · Σ_i α_{t−1}(i) a_ij.
+    emission: Array2<f64>,
+    /// ln P(O), or −∞ if no path fits.
+    pub log_likelihood: f64,
+}
+
+/// Natural log emission of a joint state at a frame.
+pub trait Emission {
+    fn log(&self, t: usize, state: usize) -> f64;
+}
+
+impl<F: Fn(usize, usize) -> f64> Emission for F {
+    fn log(&self, t: usize, state: usize) -> f64 {
+        self(t, state)
+    }
+}
+
+/// Forward pass. Returns `None` if no path through the graph explains the frames.
+pub fn forward(
+    graph: &Graph,
+    probability: &[f64],
+    frames: usize,
+    emission: &impl Emission,
+) -> Option<Forward> {
+    let n = graph.states.len();
+    let mut alpha = Array2::<f64>::zeros((frames, n));
+    let mut scaled = Array2::<f64>::zeros((frames, n));
+    let mut predicted = vec![0.0f64; n];
+    for &(state, log) in &graph.entries {
+        predicted[state] += f64::from(log).exp();
+    }
+    let mut log_likelihood = 0.0;
+    let mut logs = vec![0.0f64; n];
+    for t in 0..frames {
+        if t > 0 {
+            predicted.fill(0.0);
+            for s in 0..n {
+                let a = alpha[[t - 1, s]];
+                if a > 0.0 {
+                    for arc in graph.first[s]..graph.first[s + 1] {
+                        predicted[graph.arcs[arc].to as usize] += a * probability[arc];
+                    }
+                }
+            }
+        }
+        let mut max = f64::NEG_INFINITY;
+        for s in 0..n {
+            if predicted[s] > NOTHING {
+                logs[s] = emission.log(t, s);
+                max = max.max(predicted[s].ln() + logs[s]);
+            } else {
+                predicted[s] = 0.0;
+            }
+        }
+        if !max.is_finite() {
+            return None;
+        }
+        let mut sum = 0.0;
+        for s in 0..n {
+            if predicted[s] > 0.0 {
+                sum += (predicted[s].ln() + logs[s] - max).exp();
+            }
+        }
+        let scale = max + sum.ln();
+        log_likelihood += scale;
+        for s in 0..n {
+            if predicted[s] > 0.0 {
+                let e = (logs[s] - scale).exp();
+                let a = predicted[s] * e;
+                if a > NOTHING {
+                    alpha[[t, s]] = a;
+                    scaled[[t, s]] = e;
+                }
+            }
+        }
+    }
+    if let (Some(exits), true) = (&graph.exits, frames > 0) {
+        let last: f64 = exits.iter().map(|&s| alpha[[frames - 1, s]]).sum();
+        if last <= 0.0 {
+            return None;
+        }
+        log_likelihood += last.ln();
+    }
+    Some(Forward {
+        alpha,
+        emission: scaled,
+        log_likelihood,
+    })
+}
+
+impl Forward {
+    /// One step back: from β at t + 1 to β at t (eq. A.10), over states that α reaches.
+    fn step_back(&self, graph: &Graph, probability: &[f64], t: usize, beta: &[f64], out: &mut [f64]) {
+        for s in 0..graph.states.len() {
+            out[s] = 0.0;
+            if self.alpha[[t, s]] > 0.0 {
+                for arc in graph.first[s]..graph.first[s + 1] {
+                    let to = graph.arcs[arc].to as usize;
+                    let e = self.emission[[t + 1, to]];
+                    if e > 0.0 {
+                        out[s] += probability[arc] * e * beta[to];
+                    }
+                }
+            }
+        }
+    }
+
+    /// β of the last frame: where an utterance may end.
+    fn last_beta(&self, graph: &Graph) -> Vec<f64> {
+        let frames = self.alpha.nrows();
+        match &graph.exits {
+            None => vec![1.0; graph.states.len()],
+            Some(exits) => {
+                let total: f64 = exits.iter().map(|&s| self.alpha[[frames - 1, s]]).sum();
+                let mut beta = vec![0.0; graph.states.len()];
+                exits.iter().for_each(|&s| beta[s] = 1.0 / total);
+                beta
+            }
+        }
+    }
+
+    /// Backward pass over the whole utterance: occupancies `[frames, states]`; `arc(t, index, ξ)` is called for the
+    /// occupancy of every arc from frame t to t + 1.
+    pub fn backward(
+        &self,
+        graph: &Graph,
+        probability: &[f64],
+        mut arc: impl FnMut(usize, usize, f64),
+    ) -> Array2<f64> {
+        let (frames, n) = self.alpha.dim();
+        let mut gamma = Array2::zeros((frames, n));
+        let mut beta = self.last_beta(graph);
+        let mut before = vec![0.0; n];
+        for t in (0..frames).rev() {
+            if t + 1 < frames {
+                self.step_back(graph, probability, t, &beta, &mut before);
+                for s in 0..n {
+                    let a = self.alpha[[t, s]];
+                    if a > 0.0 && before[s] > 0.0 {
+                        for index in graph.first[s]..graph.first[s + 1] {
+                            let to = graph.arcs[index].to as usize;
+                            let xi = a * probability[index] * self.emission[[t + 1, to]] * beta[to];
+                            if xi > 0.0 {
+                                arc(t, index, xi);
+                            }
+                        }
+                    }
+                }
+                std::mem::swap(&mut beta, &mut before);
+            }
+            for s in 0..n {
+                gamma[[t, s]] = self.alpha[[t, s]] * beta[s];
+            }
+        }
+        gamma
+    }
+
+    /// Occupancies when only `lag` frames after each frame are known: P(q_t | o_1..t+lag).
+    pub fn fixed_lag(&self, graph: &Graph, probability: &[f64], lag: usize) -> Array2<f64> {
+        let (frames, n) = self.alpha.dim();
+        let mut gamma = Array2::zeros((frames, n));
+        let (mut beta, mut before) = (vec![0.0; n], vec![0.0; n]);
+        for t in 0..frames {
+            let end = (t + lag).min(frames - 1);
+            if end == frames - 1 {
+                beta.copy_from_slice(&self.last_beta(graph));
+            } else {
+                beta.fill(1.0);
+            }
+            for u in (t..end).rev() {
+                self.step_back(graph, probability, u, &beta, &mut before);
+                std::mem::swap(&mut beta, &mut before);
+            }
+            let sum: f64 = (0..n).map(|s| self.alpha[[t, s]] * beta[s]).sum();
+            for s in 0..n {
+                gamma[[t, s]] = self.alpha[[t, s]] * beta[s] / sum;
+            }
+        }
+        gamma
+    }
+}
+
+/// Best path (Viterbi): a joint state per frame, and its log likelihood.
+pub fn viterbi(
+    graph: &Graph,
+    probability: &[f64],
+    frames: usize,
+    emission: &impl Emission,
+) -> Option<(Vec<usize>, f64)> {
+    let n = graph.states.len();
+    let logs: Vec<f64> = probability.iter().map(|p| p.ln()).collect();
+    let mut best = vec![f64::NEG_INFINITY; n];
+    for &(state, log) in &graph.entries {
+        best[state] = f64::from(log);
+    }
+    let mut back = Array2::<u32>::zeros((frames, n));
+    for t in 0..frames {
+        if t > 0 {
+            let mut next = vec![f64::NEG_INFINITY; n];
+            for s in 0..n {
+                if best[s] > f64::NEG_INFINITY {
+                    for arc in graph.first[s]..graph.first[s + 1] {
+                        let to = graph.arcs[arc].to as usize;
+                        let score = best[s] + logs[arc];
+                        if score > next[to] {
+                            next[to] = score;
+                            back[[t, to]] = s as u32;
+                        }
+                    }
+                }
+            }
+            best = next;
+        }
+        for s in 0..n {
+            if best[s] > f64::NEG_INFINITY {
+                best[s] += emission.log(t, s);
+            }
+        }
+    }
+    let ends: Vec<usize> = graph.exits.clone().unwrap_or_else(|| (0..n).collect());
+    let end = ends.into_iter().max_by(|&a, &b| best[a].total_cmp(&best[b]))?;
+    if best[end] == f64::NEG_INFINITY || frames == 0 {
+        return None;
+    }
+    let mut path = vec![end; frames];
+    for t in (1..frames).rev() {
+        path[t - 1] = back[[t, path[t]]] as usize;
+    }
+    Some((path, best[end]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::hmm::network::PhoneNetwork;
+    use crate::hmm::topology::Topology;
+    use crate::phones::Phone;
+    use ndarray::Array3;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    struct Tiny {
+        graph: Graph,
+        probability: Vec<f64>,
+        log: Array2<f64>,
+    }
+
+    fn tiny(topology: Topology, frames: usize, whole: bool, seed: u64) -> Tiny {
+        let mut rng = Pcg64::seed_from_u64(seed);
+        let phones: Vec<Phone> = ["b", "iy", "p"].map(|n| Phone::from_name(n).unwrap()).to_vec();
+        let network = if whole {
+            let bigram = ndarray::Array2::from_shape_fn((3, 3), |_| (1.0f32 / 3.0).ln());
+            PhoneNetwork::phone_loop(&[(1.0f32 / 3.0).ln(); 3], &bigram)
+        } else {
+            PhoneNetwork::chain(&[0, 1])
+        };
+        let graph = Graph::build(&network, topology, &phones);
+        let table = Array3::from_shape_fn((3, topology.classes_per_phone(), 4), |(_, class, choice)| {
+            if topology.allowed(class)[choice] {
+                rng.random_range(0.1f32..1.0).ln()
+            } else {
+                -1e9
+            }
+        });
+        let probability = graph.probabilities(&table);
+        let log = Array2::from_shape_fn((frames, graph.states.len()), |_| rng.random_range(-3.0..0.0));
+        Tiny {
+            graph,
+            probability,
+            log,
+        }
+    }
+
+    /// Likelihood, occupancies and arc occupancies by walking every path.
+    fn enumerate(tiny: &Tiny) -> (f64, Array2<f64>, Vec<f64>) {
+        let (frames, n) = tiny.log.dim();
+        let mut total = 0.0;
+        let mut gamma = Array2::zeros((frames, n));
+        let mut xi = vec![0.0; tiny.graph.arcs.len()];
+        let mut stack: Vec<(Vec<usize>, Vec<usize>, f64)> = tiny
+            .graph
+            .entries
+            .iter()
+            .map(|&(s, w)| (vec![s], Vec::new(), f64::from(w).exp() * tiny.log[[0, s]].exp()))
+            .collect();
+        while let Some((path, arcs, p)) = stack.pop() {
+            let last = path[path.len() - 1];
+            if path.len() == frames {
+                if tiny.graph.exits.as_ref().is_none_or(|e| e.contains(&last)) {
+                    total += p;
+                    path.iter().enumerate().for_each(|(t, &s)| gamma[[t, s]] += p);
+                    arcs.iter().for_each(|&a| xi[a] += p);
+                }
+                continue;
+            }
+            for arc in tiny.graph.first[last]..tiny.graph.first[last + 1] {
+                let to = tiny.graph.arcs[arc].to as usize;
+                let q = p * tiny.probability[arc] * tiny.log[[path.len(), to]].exp();
+                let (mut path, mut arcs) = (path.clone(), arcs.clone());
+                path.push(to);
+                arcs.push(arc);
+                stack.push((path, arcs, q));
+            }
+        }
+        (total, gamma / total, xi.into_iter().map(|x| x / total).collect())
+    }
+
+    #[test]
+    fn brute_force_agrees() {
+        for (topology, frames, whole) in [
+            (Topology::PH_VI_CHMM, 11, false),
+            (Topology::PH_VI_CHMM, 5, true),
+            (Topology::PH_HMM, 12, false),
+            (Topology::PH_HMM, 7, true),
+        ] {
+            let tiny = tiny(topology, frames, whole, 7);
+            let (total, gamma, xi) = enumerate(&tiny);
+            let emission = |t: usize, s: usize| tiny.log[[t, s]];
+            let f = forward(&tiny.graph, &tiny.probability, frames, &emission).unwrap();
+            assert!((f.log_likelihood - total.ln()).abs() < 1e-9);
+            let mut arcs = vec![0.0; xi.len()];
+            let g = f.backward(&tiny.graph, &tiny.probability, |_, a, x| arcs[a] += x);
+            assert!((&g - &gamma).iter().all(|d| d.abs() < 1e-9));
+            assert!(arcs.iter().zip(&xi).all(|(a, b)| (a - b).abs() < 1e-9));
+            let long = f.fixed_lag(&tiny.graph, &tiny.probability, frames);
+            assert!((&long - &gamma).iter().all(|d| d.abs() < 1e-9));
+        }
+    }
+
+    #[test]
+    fn no_lag_is_the_forward_variable() {
+        let tiny = tiny(Topology::PH_VI_CHMM, 6, true, 3);
+        let emission = |t: usize, s: usize| tiny.log[[t, s]];
+        let f = forward(&tiny.graph, &tiny.probability, 6, &emission).unwrap();
+        let g = f.fixed_lag(&tiny.graph, &tiny.probability, 0);
+        assert!((&g - &f.alpha).iter().all(|d| d.abs() < 1e-12));
+    }
+
+    #[test]
+    fn the_best_path_is_the_best_of_all() {
+        let tiny = tiny(Topology::PH_VI_CHMM, 10, false, 5);
+        let emission = |t: usize, s: usize| tiny.log[[t, s]];
+        let (path, log) = viterbi(&tiny.graph, &tiny.probability, 10, &emission).unwrap();
+        // By hand: the path's own probability, and no neighbour at a single frame is better.
+        let score = |path: &[usize]| -> f64 {
+            let mut p = f64::from(
+                tiny.graph
+                    .entries
+                    .iter()
+                    .find(|e| e.0 == path[0])
+                    .map_or(f32::NEG_INFINITY, |e| e.1),
+            );
+            for t in 0..path.len() {
+                p += tiny.log[[t, path[t]]];
+                if t > 0 {
+                    let arc = (tiny.graph.first[path[t - 1]]..tiny.graph.first[path[t - 1] + 1])
+                        .find(|&a| tiny.graph.arcs[a].to as usize == path[t]);
+                    p += arc.map_or(f64::NEG_INFINITY, |a| tiny.probability[a].ln());
+                }
+            }
+            p
+        };
+        assert!((score(&path) - log).abs() < 1e-9);
+        for t in 0..10 {
+            for s in 0..tiny.graph.states.len() {
+                let mut other = path.clone();
+                other[t] = s;
+                if tiny.graph.exits.as_ref().unwrap().contains(&other[9]) {
+                    assert!(score(&other) <= log + 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn too_short_an_utterance_has_no_path() {
+        let tiny = tiny(Topology::PH_VI_CHMM, 9, false, 1);
+        let emission = |t: usize, s: usize| tiny.log[[t, s]];
+        assert!(forward(&tiny.graph, &tiny.probability, 9, &emission).is_none());
+        assert!(viterbi(&tiny.graph, &tiny.probability, 9, &emission).is_none());
+    }
+}

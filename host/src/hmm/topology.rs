@@ -1,0 +1,126 @@
+//! Which joint states exist, and how their transitions are tied (X&L eq. 17-19).
+use crate::model::{MOUTH_LEADS, N_EMITTING, N_TRANSITION_CLASSES, SOUND_LEADS, choice, pair_class};
+use crate::phones::Phone;
+
+/// Pairs of an audio state and a visual state that a system allows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pairing {
+    /// a = v: one chain (ph-HMM, ph-MSHMM, and the audio HMM by itself).
+    Equal,
+    /// |a − v| ≤ 1 along the unrolled path, across phone borders too (CHMM, eq. 19).
+    Band,
+}
+
+/// What the states of the visual chain belong to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum VisualAtom {
+    Phone,
+    Viseme,
+}
+
+/// A system's description.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Topology {
+    pub pairing: Pairing,
+    pub visual: VisualAtom,
+}
+
+impl Topology {
+    /// X&L's own system: phoneme states for the sound, viseme states for the mouth, coupled.
+    pub const PH_VI_CHMM: Topology = Topology {
+        pairing: Pairing::Band,
+        visual: VisualAtom::Viseme,
+    };
+    /// One chain over the phones.
+    pub const PH_HMM: Topology = Topology {
+        pairing: Pairing::Equal,
+        visual: VisualAtom::Phone,
+    };
+
+    /// Rows of the transition table that one phone has.
+    pub fn classes_per_phone(self) -> usize {
+        match self.pairing {
+            Pairing::Equal => N_EMITTING,
+            Pairing::Band => N_TRANSITION_CLASSES,
+        }
+    }
+
+    /// Row of the pair (i, j) inside a phone.
+    pub fn inside_class(self, audio: usize, visual: usize) -> usize {
+        match self.pairing {
+            Pairing::Equal => audio,
+            Pairing::Band => pair_class(audio, visual),
+        }
+    }
+
+    /// Pairs (i, j) inside one phone.
+    pub fn inside_pairs(self) -> Vec<(usize, usize)> {
+        let all = (0..N_EMITTING).flat_map(|i| (0..N_EMITTING).map(move |j| (i, j)));
+        match self.pairing {
+            Pairing::Equal => all.filter(|(i, j)| i == j).collect(),
+            Pairing::Band => all.filter(|(i, j)| i.abs_diff(*j) <= 1).collect(),
+        }
+    }
+
+    /// Which of the four choices a row of the transition table allows.
+    pub fn allowed(self, class: usize) -> [bool; 4] {
+        let mut allowed = [false; 4];
+        allowed[choice::STAY] = true;
+        allowed[choice::BOTH_ADVANCE] = true;
+        if self.pairing == Pairing::Equal {
+            return allowed;
+        }
+        match class {
+            MOUTH_LEADS => allowed[choice::AUDIO_ADVANCES] = true,
+            SOUND_LEADS => allowed[choice::VISUAL_ADVANCES] = true,
+            _ => {
+                let (i, j) = self.inside_pairs()[class];
+                allowed[choice::AUDIO_ADVANCES] = i <= j;
+                allowed[choice::VISUAL_ADVANCES] = j <= i;
+            }
+        }
+        allowed
+    }
+
+    /// Number of the visual atom of a phone: itself in the model's order, or its viseme.
+    pub fn visual_atom(self, index: usize, phone: Phone) -> usize {
+        match self.visual {
+            VisualAtom::Phone => index,
+            VisualAtom::Viseme => usize::from(phone.viseme().0),
+        }
+    }
+
+    /// Number of visual states of a model over `n_phones` phones.
+    pub fn n_visual_states(self, n_phones: usize) -> usize {
+        N_EMITTING
+            * match self.visual {
+                VisualAtom::Phone => n_phones,
+                VisualAtom::Viseme => crate::phones::VISEMES.len(),
+            }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn thirteen_pairs_number_themselves() {
+        let t = Topology::PH_VI_CHMM;
+        let pairs = t.inside_pairs();
+        assert_eq!(pairs.len(), 13);
+        for (class, (i, j)) in pairs.into_iter().enumerate() {
+            assert_eq!(t.inside_class(i, j), class);
+        }
+    }
+
+    #[test]
+    fn a_chain_never_runs_two_states_ahead() {
+        let t = Topology::PH_VI_CHMM;
+        for (class, (i, j)) in t.inside_pairs().into_iter().enumerate() {
+            let allowed = t.allowed(class);
+            assert_eq!(allowed[choice::AUDIO_ADVANCES], (i + 1).abs_diff(j) <= 1);
+            assert_eq!(allowed[choice::VISUAL_ADVANCES], i.abs_diff(j + 1) <= 1);
+        }
+    }
+}
