@@ -73,6 +73,15 @@ pub struct LocalLinear {
     pub state: Array3<f32>,
 }
 
+/// How the model wants to be followed: chosen on validation data, overridable at run time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Following {
+    /// Exponent of the audio likelihood. Diagonal Gaussians over overlapping windows are overconfident at 1.
+    pub acoustic_scale: f32,
+    /// Frames after a frame that its occupancies wait for, beyond the look-ahead of ΔΔ.
+    pub lag: usize,
+}
+
 /// Everything that training learns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
@@ -91,6 +100,7 @@ pub struct Model {
     pub initial: Array1<f32>,
     pub context: Context,
     pub maps: LocalLinear,
+    pub following: Following,
     /// Absent in a model trained on plain visual numbers.
     pub mouth: Option<MouthSpace>,
     /// Where the model comes from: corpus, settings, date. For people.
@@ -116,6 +126,8 @@ impl Model {
             "context.taps",
             join(self.context.taps.iter().map(|t| t.to_string())),
         );
+        out.note("following.acoustic_scale", self.following.acoustic_scale);
+        out.note("following.lag", self.following.lag);
         out.put("start_mean", &self.start_mean);
         for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
             out.put(&format!("{name}.mean"), &mixtures.mean);
@@ -178,6 +190,10 @@ impl Model {
             maps: LocalLinear {
                 global: from.array("maps.global")?,
                 state: from.array("maps.state")?,
+            },
+            following: Following {
+                acoustic_scale: from.noted("following.acoustic_scale")?,
+                lag: from.noted("following.lag")?,
             },
             mouth: if from.has("mouth.mean") {
                 Some(MouthSpace::load(from)?)
@@ -246,6 +262,12 @@ impl Model {
         }
         if self.mouth.as_ref().is_some_and(|m| m.size() != d) {
             bail!("the mouth has another number of eigenmouths than the maps have rows");
+        }
+        if !(self.following.acoustic_scale > 0.0 && self.following.acoustic_scale <= 1.0) {
+            bail!(
+                "the acoustic scale {} is not in (0, 1]",
+                self.following.acoustic_scale
+            );
         }
         if !self.context.taps.is_sorted() {
             bail!("the context taps are not in increasing order");
