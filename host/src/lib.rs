@@ -8,6 +8,7 @@ pub mod cli;
 pub mod features;
 pub mod files;
 pub mod hmm;
+pub mod local_linear;
 pub mod model;
 pub mod mouth;
 pub mod phones;

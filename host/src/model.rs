@@ -54,7 +54,7 @@ pub mod choice {
 
 /// The projection of stacked statics that the local linear maps read.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Context {
+pub struct ContextMap {
     /// Taps in hops relative to the frame, increasing; the last one is the look-ahead.
     pub taps: Vec<i32>,
     /// Mean of the stacked statics, `[taps·13]`, tap-major.
@@ -98,7 +98,7 @@ pub struct Model {
     pub bigram: Array2<f32>,
     /// Natural log of P(first phone), `[phones]`.
     pub initial: Array1<f32>,
-    pub context: Context,
+    pub context: ContextMap,
     pub maps: LocalLinear,
     pub following: Following,
     /// Absent in a model trained on plain visual numbers.
@@ -182,7 +182,7 @@ impl Model {
             transition: from.array("transition")?,
             bigram: from.array("bigram")?,
             initial: from.array("initial")?,
-            context: Context {
+            context: ContextMap {
                 taps,
                 mean: from.array("context.mean")?,
                 projection: from.array("context.projection")?,

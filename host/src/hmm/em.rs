@@ -1,0 +1,513 @@
+//! EM over utterances (X&L section 3.4 and appendix A): flat start, expectation, re-estimation.
+//!
+//! Utterances are taken in chunks of fixed size whose sums are added in order, so the result does not depend on how
+//! many threads there are.
+use ndarray::{Array2, Array3, ArrayView1};
+use rayon::prelude::*;
+
+use super::density::{self, Accumulator, Evaluator, Floors};
+use super::forward_backward::{forward, viterbi};
+use super::graph::Graph;
+use super::network::PhoneNetwork;
+use super::topology::Topology;
+use crate::model::{Mixtures, N_EMITTING, choice};
+use crate::phones::Phone;
+
+/// Utterances whose sums are added up before they join the others.
+const CHUNK: usize = 8;
+/// Occupancies below this add nothing worth the work.
+const LEAST_OCCUPANCY: f64 = 1e-6;
+
+/// What training sees of one clip.
+#[derive(Clone, Debug)]
+pub struct Utterance {
+    pub id: String,
+    /// `[frames, 39]`
+    pub audio: Array2<f32>,
+    /// `[frames, D]` at the audio's rate, or nothing in an audio-only corpus.
+    pub visual: Option<Array2<f32>>,
+    pub network: PhoneNetwork,
+    /// Phone (model index) and state 0..5 of every frame, from labels or evenly spread: where EM starts.
+    pub start: Vec<(usize, usize)>,
+}
+
+/// The parameters that EM re-estimates.
+#[derive(Clone, Debug)]
+pub struct Parameters {
+    pub topology: Topology,
+    pub phones: Vec<Phone>,
+    pub audio: Mixtures,
+    /// Absent in an audio HMM.
+    pub visual: Option<Mixtures>,
+    /// Natural log, `[phones, classes, 4]`.
+    pub transition: Array3<f32>,
+}
+
+/// Sums of one pass over the data.
+#[derive(Clone, Debug)]
+pub struct Sums {
+    pub audio: Accumulator,
+    pub visual: Option<Accumulator>,
+    /// Expected number of times that each choice was made, `[phones, classes, 4]`.
+    pub transition: Array3<f64>,
+    pub log_likelihood: f64,
+    pub frames: usize,
+    /// Utterances that no path through their network explains (too short, or words that do not fit).
+    pub failed: Vec<String>,
+}
+
+impl Sums {
+    pub fn new(parameters: &Parameters) -> Self {
+        Self {
+            audio: Accumulator::for_mixtures(&parameters.audio),
+            visual: parameters.visual.as_ref().map(Accumulator::for_mixtures),
+            transition: Array3::zeros(parameters.transition.dim()),
+            log_likelihood: 0.0,
+            frames: 0,
+            failed: Vec::new(),
+        }
+    }
+
+    pub fn merge(&mut self, other: Sums) {
+        self.audio.merge(&other.audio);
+        if let (Some(mine), Some(theirs)) = (&mut self.visual, &other.visual) {
+            mine.merge(theirs);
+        }
+        self.transition += &other.transition;
+        self.log_likelihood += other.log_likelihood;
+        self.frames += other.frames;
+        self.failed.extend(other.failed);
+    }
+
+    /// Natural log likelihood per frame.
+    pub fn per_frame(&self) -> f64 {
+        self.log_likelihood / self.frames.max(1) as f64
+    }
+}
+
+/// Every choice that a row allows; staying is likelier, so that a state lasts about three frames.
+pub fn start_transitions(topology: Topology, phones: usize) -> Array3<f32> {
+    const STAY: f32 = 0.65;
+    Array3::from_shape_fn((phones, topology.classes_per_phone(), 4), |(_, class, c)| {
+        let allowed = topology.allowed(class);
+        let others = allowed.iter().filter(|a| **a).count() as f32 - 1.0;
+        match (allowed[c], c == choice::STAY) {
+            (false, _) => Mixtures::NO_WEIGHT,
+            (true, true) => STAY.ln(),
+            (true, false) => ((1.0 - STAY) / others).ln(),
+        }
+    })
+}
+
+/// Single Gaussians from the frames' start labels; both chains at the same place.
+///
+/// States without data get the pooled mean and variance. Floors are 1 % of the pooled variances.
+pub fn start(
+    utterances: &[Utterance],
+    topology: Topology,
+    phones: &[Phone],
+) -> (Parameters, Floors, Option<Floors>) {
+    let n_audio = phones.len() * N_EMITTING;
+    let n_visual = topology.n_visual_states(phones.len());
+    let dim_audio = utterances.first().map_or(0, |u| u.audio.ncols());
+    let dim_visual = utterances
+        .first()
+        .and_then(|u| u.visual.as_ref())
+        .map_or(0, |v| v.ncols());
+    let mut audio = Accumulator::new(n_audio, 1, dim_audio);
+    let mut visual = Accumulator::new(n_visual, 1, dim_visual);
+    for utterance in utterances {
+        for (t, &(phone, i)) in utterance.start.iter().enumerate() {
+            audio.add(N_EMITTING * phone + i, 0, 1.0, row(utterance.audio.row(t)));
+            if let Some(v) = &utterance.visual {
+                let atom = topology.visual_atom(phone, phones[phone]);
+                visual.add(N_EMITTING * atom + i, 0, 1.0, row(v.row(t)));
+            }
+        }
+    }
+    let from = |sums: &Accumulator, states: usize| {
+        let (mean, variance) = sums.pooled();
+        let floors = Floors::from_pooled(&variance, 0.01);
+        let mut mixtures = density::flat(states, &mean, &variance, &floors);
+        density::reestimate(&mut mixtures, sums, &floors);
+        (mixtures, floors)
+    };
+    let (audio, audio_floors) = from(&audio, n_audio);
+    let (visual, visual_floors) = match dim_visual {
+        0 => (None, None),
+        _ => {
+            let (mixtures, floors) = from(&visual, n_visual);
+            (Some(mixtures), Some(floors))
+        }
+    };
+    let transition = start_transitions(topology, phones.len());
+    (
+        Parameters {
+            topology,
+            phones: phones.to_vec(),
+            audio,
+            visual,
+            transition,
+        },
+        audio_floors,
+        visual_floors,
+    )
+}
+
+fn row<'a>(row: ArrayView1<'a, f32>) -> &'a [f32] {
+    row.to_slice()
+        .expect("rows of an array in standard layout are slices")
+}
+
+/// Log likelihoods of the states that one utterance's graph has.
+struct Likelihoods {
+    /// Column of each joint state.
+    column: Vec<usize>,
+    states: Vec<usize>,
+    log: Array2<f32>,
+}
+
+impl Likelihoods {
+    fn new(
+        of: impl Iterator<Item = usize> + Clone,
+        evaluator: &Evaluator,
+        observations: &Array2<f32>,
+    ) -> Self {
+        let mut states: Vec<usize> = of.clone().collect();
+        states.sort_unstable();
+        states.dedup();
+        let column = of
+            .map(|s| states.binary_search(&s).expect("the state was just collected"))
+            .collect();
+        let log = evaluator.log_likelihoods(&states, observations.view());
+        Self { column, states, log }
+    }
+
+    /// Adds occupancies, shared among the components (eq. A.15).
+    fn accumulate(
+        &self,
+        gamma: &Array2<f64>,
+        evaluator: &Evaluator,
+        observations: &Array2<f32>,
+        sums: &mut Accumulator,
+    ) {
+        let mut parts = vec![0.0f32; evaluator.components()];
+        let mut per_state = vec![0.0f64; self.states.len()];
+        for (t, joint) in gamma.outer_iter().enumerate() {
+            per_state.fill(0.0);
+            for (s, &occupancy) in joint.iter().enumerate() {
+                per_state[self.column[s]] += occupancy;
+            }
+            let observation = row(observations.row(t));
+            for (column, &occupancy) in per_state.iter().enumerate() {
+                if occupancy < LEAST_OCCUPANCY {
+                    continue;
+                }
+                let state = self.states[column];
+                let total = evaluator.log_components(state, observation, &mut parts);
+                for (k, &log) in parts.iter().enumerate() {
+                    let share = occupancy * f64::from((log - total).exp());
+                    if share >= LEAST_OCCUPANCY {
+                        sums.add(state, k, share, observation);
+                    }
+                }
+            }
+        }
+    }
+}
+
+struct Evaluators {
+    audio: Evaluator,
+    visual: Option<Evaluator>,
+}
+
+impl Evaluators {
+    fn new(parameters: &Parameters) -> Self {
+        Self {
+            audio: Evaluator::new(&parameters.audio),
+            visual: parameters.visual.as_ref().map(Evaluator::new),
+        }
+    }
+}
+
+/// One utterance's graph, arcs and likelihoods.
+struct Laid {
+    graph: Graph,
+    probability: Vec<f64>,
+    audio: Likelihoods,
+    visual: Option<Likelihoods>,
+}
+
+impl Laid {
+    fn new(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utterance) -> Self {
+        let graph = Graph::build(&utterance.network, parameters.topology, &parameters.phones);
+        let probability = graph.probabilities(&parameters.transition);
+        let audio = Likelihoods::new(
+            graph.states.iter().map(|s| s.audio),
+            &evaluators.audio,
+            &utterance.audio,
+        );
+        let visual = match (&evaluators.visual, &utterance.visual) {
+            (Some(evaluator), Some(observations)) => Some(Likelihoods::new(
+                graph.states.iter().map(|s| s.visual),
+                evaluator,
+                observations,
+            )),
+            _ => None,
+        };
+        Self {
+            graph,
+            probability,
+            audio,
+            visual,
+        }
+    }
+
+    fn emission(&self) -> impl Fn(usize, usize) -> f64 + '_ {
+        |t, s| {
+            let audio = f64::from(self.audio.log[[t, self.audio.column[s]]]);
+            audio
+                + self
+                    .visual
+                    .as_ref()
+                    .map_or(0.0, |v| f64::from(v.log[[t, v.column[s]]]))
+        }
+    }
+}
+
+fn expect_one(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utterance, sums: &mut Sums) {
+    let laid = Laid::new(parameters, evaluators, utterance);
+    let frames = utterance.audio.nrows();
+    let Some(forward) = forward(&laid.graph, &laid.probability, frames, &laid.emission()) else {
+        sums.failed.push(utterance.id.clone());
+        return;
+    };
+    let transition = &mut sums.transition;
+    let gamma = forward.backward(&laid.graph, &laid.probability, |_, index, xi| {
+        let arc = laid.graph.arcs[index];
+        let state = laid.graph.states[arc.from as usize];
+        transition[[state.phone, state.class, usize::from(arc.choice)]] += xi;
+    });
+    sums.log_likelihood += forward.log_likelihood;
+    sums.frames += frames;
+    laid.audio
+        .accumulate(&gamma, &evaluators.audio, &utterance.audio, &mut sums.audio);
+    if let (Some(likelihoods), Some(evaluator), Some(observations), Some(sums)) = (
+        &laid.visual,
+        &evaluators.visual,
+        &utterance.visual,
+        &mut sums.visual,
+    ) {
+        likelihoods.accumulate(&gamma, evaluator, observations, sums);
+    }
+}
+
+/// E step over all utterances.
+pub fn expect(parameters: &Parameters, utterances: &[Utterance], done: &(dyn Fn(usize) + Sync)) -> Sums {
+    let evaluators = Evaluators::new(parameters);
+    let parts: Vec<Sums> = utterances
+        .par_chunks(CHUNK)
+        .map(|chunk| {
+            let mut sums = Sums::new(parameters);
+            for utterance in chunk {
+                expect_one(parameters, &evaluators, utterance, &mut sums);
+            }
+            done(chunk.len());
+            sums
+        })
+        .collect();
+    let mut total = Sums::new(parameters);
+    parts.into_iter().for_each(|part| total.merge(part));
+    total
+}
+
+/// M step: densities and transitions.
+pub fn maximise(parameters: &mut Parameters, sums: &Sums, audio: &Floors, visual: Option<&Floors>) {
+    density::reestimate(&mut parameters.audio, &sums.audio, audio);
+    if let (Some(mixtures), Some(sums), Some(floors)) = (&mut parameters.visual, &sums.visual, visual) {
+        density::reestimate(mixtures, sums, floors);
+    }
+    maximise_transitions(parameters, &sums.transition);
+}
+
+/// Transition rows from expected counts (eq. A.16), with three frames' weight on what they were before.
+fn maximise_transitions(parameters: &mut Parameters, counts: &Array3<f64>) {
+    const PRIOR: f64 = 3.0;
+    let (phones, classes, _) = counts.dim();
+    for p in 0..phones {
+        for class in 0..classes {
+            let allowed = parameters.topology.allowed(class);
+            let n: f64 = (0..4).map(|c| counts[[p, class, c]]).sum();
+            for c in 0..4 {
+                if allowed[c] {
+                    let before = f64::from(parameters.transition[[p, class, c]]).exp();
+                    let share = (counts[[p, class, c]] + PRIOR * before) / (n + PRIOR);
+                    parameters.transition[[p, class, c]] = share.ln() as f32;
+                }
+            }
+        }
+    }
+}
+
+/// Forced alignment: audio state and visual state of every frame; `None` where no path fits.
+pub fn align(parameters: &Parameters, utterances: &[Utterance]) -> Vec<Option<Vec<(usize, usize)>>> {
+    let evaluators = Evaluators::new(parameters);
+    utterances
+        .par_iter()
+        .map(|utterance| {
+            let laid = Laid::new(parameters, &evaluators, utterance);
+            let frames = utterance.audio.nrows();
+            let (path, _) = viterbi(&laid.graph, &laid.probability, frames, &laid.emission())?;
+            Some(
+                path.iter()
+                    .map(|&s| (laid.graph.states[s].audio, laid.graph.states[s].visual))
+                    .collect(),
+            )
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64;
+
+    /// Two phones whose sound and look differ, said in turn, with noise.
+    fn corpus(topology: Topology) -> (Vec<Utterance>, Vec<Phone>) {
+        let phones: Vec<Phone> = ["sil", "b", "iy"].map(|n| Phone::from_name(n).unwrap()).to_vec();
+        let mut rng = Pcg64::seed_from_u64(11);
+        let utterances = (0..20)
+            .map(|n| {
+                let said = [0, 1, 2, 1, 2, 0];
+                let mut rows = Vec::new();
+                for &p in &said {
+                    for i in 0..N_EMITTING {
+                        for _ in 0..rng.random_range(1..4) {
+                            rows.push((p, i));
+                        }
+                    }
+                }
+                let noise = |rng: &mut Pcg64| rng.random_range(-0.5f32..0.5);
+                let audio = Array2::from_shape_fn((rows.len(), 3), |(t, d)| {
+                    let (p, i) = rows[t];
+                    [p as f32 * 2.0, i as f32, (p * i) as f32][d] + noise(&mut rng)
+                });
+                let visual = Array2::from_shape_fn((rows.len(), 2), |(t, d)| {
+                    let (p, i) = rows[t];
+                    [p as f32, i as f32 * 0.5][d] + noise(&mut rng)
+                });
+                let frames = rows.len();
+                let start = (0..frames)
+                    .map(|t| {
+                        let place = t * said.len() * N_EMITTING / frames;
+                        (said[place / N_EMITTING], place % N_EMITTING)
+                    })
+                    .collect();
+                Utterance {
+                    id: format!("u{n}"),
+                    audio,
+                    visual: Some(visual),
+                    network: PhoneNetwork::chain(&said),
+                    start,
+                }
+            })
+            .collect();
+        let _ = topology;
+        (utterances, phones)
+    }
+
+    #[test]
+    fn likelihood_never_falls() {
+        for topology in [Topology::PH_VI_CHMM, Topology::PH_HMM] {
+            let (utterances, phones) = corpus(topology);
+            let (mut parameters, audio, visual) = start(&utterances, topology, &phones);
+            // With the transition prior EM climbs the posterior; without data floors the likelihood dominates.
+            let mut last = f64::NEG_INFINITY;
+            for round in 0..8 {
+                let sums = expect(&parameters, &utterances, &|_| ());
+                assert!(sums.failed.is_empty());
+                assert!(
+                    sums.per_frame() >= last - 1e-3,
+                    "{topology:?} round {round}: {} < {last}",
+                    sums.per_frame()
+                );
+                last = sums.per_frame();
+                maximise(&mut parameters, &sums, &audio, visual.as_ref());
+            }
+        }
+    }
+
+    #[test]
+    fn shards_add_up_to_the_whole() {
+        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+        let whole = expect(&parameters, &utterances, &|_| ());
+        let mut parts = expect(&parameters, &utterances[..8], &|_| ());
+        parts.merge(expect(&parameters, &utterances[8..], &|_| ()));
+        assert!((whole.log_likelihood - parts.log_likelihood).abs() < 1e-9 * whole.log_likelihood.abs());
+        assert!(
+            (&whole.transition - &parts.transition)
+                .iter()
+                .all(|d| d.abs() < 1e-9)
+        );
+        assert!(
+            (&whole.audio.first - &parts.audio.first)
+                .iter()
+                .all(|d| d.abs() < 1e-7)
+        );
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_nothing() {
+        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| expect(&parameters, &utterances, &|_| ()))
+        };
+        let (one, three) = (run(1), run(3));
+        assert_eq!(one.log_likelihood.to_bits(), three.log_likelihood.to_bits());
+        assert_eq!(one.audio, three.audio);
+    }
+
+    #[test]
+    fn alignment_finds_the_borders() {
+        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (mut parameters, audio, visual) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+        for _ in 0..6 {
+            let sums = expect(&parameters, &utterances, &|_| ());
+            maximise(&mut parameters, &sums, &audio, visual.as_ref());
+        }
+        for (utterance, path) in utterances.iter().zip(align(&parameters, &utterances)) {
+            let path = path.unwrap();
+            assert_eq!(path.len(), utterance.audio.nrows());
+            let right = path
+                .iter()
+                .zip(utterance.audio.outer_iter())
+                .filter(|((audio, _), row)| {
+                    (*audio / N_EMITTING) as f32 * 2.0 - row[0] < 1.0
+                        && row[0] - (*audio / N_EMITTING) as f32 * 2.0 < 1.0
+                })
+                .count();
+            assert!(right * 10 >= path.len() * 9, "{right} of {}", path.len());
+        }
+    }
+
+    #[test]
+    fn an_utterance_shorter_than_its_states_is_named() {
+        let (mut utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+        utterances[3].audio = utterances[3].audio.slice(ndarray::s![..7, ..]).to_owned();
+        utterances[3].visual = utterances[3]
+            .visual
+            .as_ref()
+            .map(|v| v.slice(ndarray::s![..7, ..]).to_owned());
+        let sums = expect(&parameters, &utterances, &|_| ());
+        assert_eq!(sums.failed, ["u3"]);
+        assert!(sums.log_likelihood.is_finite());
+    }
+}
