@@ -2,8 +2,10 @@
 //!
 //! Floats live here; `lipstream-core` is fixed-point from sample to packet and runs unchanged on the
 //! device, in QEMU and inside this library.
+// Not `forbid`: ndarray's `s!` brings an `allow` of its own.
 #![deny(unsafe_code)]
 
+pub mod audio;
 pub mod cli;
 pub mod features;
 pub mod files;
@@ -12,4 +14,5 @@ pub mod local_linear;
 pub mod model;
 pub mod mouth;
 pub mod phones;
+pub mod reference;
 pub mod tensors;

@@ -1,0 +1,118 @@
+//! Causal normalisation: a recursive mean of the 13 statics over speech, taken off frame by frame.
+//!
+//! A frame counts as speech when its energy lies in the upper half of the range that the energy covered
+//! lately and that range is wide:
+//!
+//! ```text
+//! e = max(E, 10)                                  nothing quieter than about 7 LSB rms is heard
+//! top    = e if e > top,       else top    + (e − top)/128
+//! bottom = e if e < bottom,    else bottom + (e − bottom)/64
+//! speech = top − bottom ≥ 2  and  2e > top + bottom
+//! mean   = mean + (s − mean)/256                  if speech
+//! output = s − mean
+//! ```
+//!
+//! The gate is relative to what was heard in the last second or two, so it works at any level and opens again
+//! after a jump of the level in either direction. Silence, hum and steady noise cover no range: within a
+//! second `bottom` has risen to them, and the mean stands still. 256 frames of speech are about four seconds of
+//! talk. All constants are powers of two, so that the integer path computes the same rule.
+use lipstream_core::N_STATIC;
+use ndarray::{Array2, ArrayView2, Axis};
+
+/// Energies below this count as this.
+pub const QUIET: f64 = 10.0;
+/// Least range of energy, in nats, in which there can be speech (8.7 dB).
+pub const LEAST_RANGE: f64 = 2.0;
+/// Frames in which `top` falls to e, to 1/e.
+pub const TOP_FRAMES: f64 = 128.0;
+/// Frames in which `bottom` rises to e, to 1/e.
+pub const BOTTOM_FRAMES: f64 = 64.0;
+/// Frames of speech over which the mean is taken.
+pub const MEAN_FRAMES: f64 = 256.0;
+
+/// What is done to the 13 statics.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Normalisation {
+    /// Nothing: HTK's numbers.
+    None,
+    /// The causal mean is taken off, starting from this one (the training mean of raw statics over speech).
+    Causal { start_mean: [f32; N_STATIC] },
+}
+
+/// Decides frame by frame which frames are speech.
+#[derive(Clone, Debug, Default)]
+pub struct Gate {
+    /// `(top, bottom)`; none before the first frame.
+    range: Option<(f64, f64)>,
+}
+
+impl Gate {
+    /// Takes the next frame's E; true when the frame is speech.
+    pub fn next(&mut self, energy: f64) -> bool {
+        let e = energy.max(QUIET);
+        let (top, bottom) = self.range.unwrap_or((e, e));
+        let top = e.max(top + (e - top) / TOP_FRAMES);
+        let bottom = e.min(bottom + (e - bottom) / BOTTOM_FRAMES);
+        self.range = Some((top, bottom));
+        top - bottom >= LEAST_RANGE && 2.0 * e > top + bottom
+    }
+}
+
+/// Raw statics less the mean in force at each frame, `[frames, 13]`. Frame t's mean knows frames ≤ t only.
+pub fn causal(raw: ArrayView2<f64>, start_mean: &[f32; N_STATIC]) -> Array2<f64> {
+    let mut gate = Gate::default();
+    let mut mean = start_mean.map(f64::from);
+    let mut out = raw.to_owned();
+    for mut row in out.axis_iter_mut(Axis(0)) {
+        if gate.next(row[N_STATIC - 1]) {
+            for (m, s) in mean.iter_mut().zip(&row) {
+                *m += (s - *m) / MEAN_FRAMES;
+            }
+        }
+        for (s, m) in row.iter_mut().zip(&mean) {
+            *s -= m;
+        }
+    }
+    out
+}
+
+/// Mean of raw statics over the frames that the gate lets through, gathered clip by clip.
+#[derive(Clone, Debug, Default)]
+pub struct SpeechMean {
+    sums: [f64; N_STATIC],
+    frames: usize,
+}
+
+impl SpeechMean {
+    /// Adds a clip's raw statics, `[frames, 13]`; the gate starts anew with every clip.
+    pub fn add(&mut self, raw: ArrayView2<f64>) {
+        let mut gate = Gate::default();
+        for row in raw.axis_iter(Axis(0)) {
+            if gate.next(row[N_STATIC - 1]) {
+                self.frames += 1;
+                for (sum, s) in self.sums.iter_mut().zip(&row) {
+                    *sum += s;
+                }
+            }
+        }
+    }
+
+    /// Frames of speech so far.
+    pub fn frames(&self) -> usize {
+        self.frames
+    }
+
+    /// The mean; none before any speech was heard.
+    pub fn mean(&self) -> Option<[f32; N_STATIC]> {
+        (self.frames > 0).then(|| self.sums.map(|sum| (sum / self.frames as f64) as f32))
+    }
+}
+
+/// Mean of raw statics over the speech in `clips`: what `prepare` writes as the start mean. None without speech.
+pub fn speech_mean<C: AsRef<[i16]>>(clips: impl IntoIterator<Item = C>) -> Option<[f32; N_STATIC]> {
+    let mut mean = SpeechMean::default();
+    for clip in clips {
+        mean.add(super::statics(clip.as_ref()).view());
+    }
+    mean.mean()
+}

@@ -1,0 +1,17 @@
+//! Hamming window over N − 1: w\[i\] = 0.54 − 0.46·cos(2πi/(N−1)), N = 400.
+use lipstream_core::FRAME_SAMPLES;
+
+/// The 400 weights, in [0.08, 1].
+pub fn hamming() -> Vec<f64> {
+    let step = std::f64::consts::TAU / (FRAME_SAMPLES - 1) as f64;
+    (0..FRAME_SAMPLES)
+        .map(|i| 0.54 - 0.46 * (step * i as f64).cos())
+        .collect()
+}
+
+/// Weighs one window in place.
+pub fn apply(frame: &mut [f64], window: &[f64]) {
+    for (x, w) in frame.iter_mut().zip(window) {
+        *x *= w;
+    }
+}
