@@ -7,6 +7,7 @@
 
 pub mod audio;
 pub mod cli;
+pub mod evaluate;
 pub mod features;
 pub mod files;
 pub mod hmm;
@@ -16,3 +17,4 @@ pub mod mouth;
 pub mod phones;
 pub mod reference;
 pub mod tensors;
+pub mod train;

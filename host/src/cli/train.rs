@@ -1,10 +1,57 @@
 //! `lipstream train`: features to a model.
-use anyhow::{Result, bail};
+use std::path::PathBuf;
 
-/// Train a model
+use anyhow::Result;
+
+use crate::features::FeatureFolder;
+use crate::train::{self, Settings};
+
+/// Train a model: a coupled HMM over phones and visemes with local linear visual maps
 #[derive(Debug, clap::Args)]
-pub(crate) struct Args {}
+pub(crate) struct Args {
+    /// Feature folder with video (made by `lipstream prepare`)
+    dir: PathBuf,
+    /// Feature folder whose sound trains the audio densities too; may be given many times
+    #[arg(long, value_name = "DIR")]
+    audio: Vec<PathBuf>,
+    /// Model to write
+    #[arg(short, long, value_name = "MODEL.safetensors")]
+    output: PathBuf,
+    /// Gaussians per audio state, a power of two
+    #[arg(long, default_value_t = Settings::default().audio_mixtures)]
+    audio_mixtures: usize,
+    /// Gaussians per visual state, a power of two
+    #[arg(long, default_value_t = Settings::default().visual_mixtures)]
+    visual_mixtures: usize,
+    /// EM passes after the start and after every split
+    #[arg(long, default_value_t = Settings::default().iterations)]
+    iterations: usize,
+    /// Frames of 10 ms that the choice of states waits, beyond the 40 ms of ΔΔ
+    #[arg(long, default_value_t = Settings::default().lag)]
+    lag: usize,
+}
 
-pub(crate) fn run(_args: Args) -> Result<()> {
-    bail!("`train` is not built yet")
+pub(crate) fn run(args: Args) -> Result<()> {
+    let folder = FeatureFolder::open(&args.dir)?;
+    let heard = args
+        .audio
+        .iter()
+        .map(|path| FeatureFolder::open(path))
+        .collect::<Result<Vec<_>>>()?;
+    let settings = Settings {
+        audio_mixtures: args.audio_mixtures,
+        visual_mixtures: args.visual_mixtures,
+        iterations: args.iterations,
+        lag: args.lag,
+        ..Settings::default()
+    };
+    let begun = std::time::Instant::now();
+    let model = train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"))?;
+    model.write(&args.output)?;
+    eprintln!(
+        "wrote {} after {:.0} s",
+        args.output.display(),
+        begun.elapsed().as_secs_f32()
+    );
+    Ok(())
 }

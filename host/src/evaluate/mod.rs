@@ -1,0 +1,2 @@
+//! Measuring models on a feature folder.
+pub mod metrics;

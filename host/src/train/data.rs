@@ -1,0 +1,215 @@
+//! Clips of a feature folder as training sees them: observations at 100 Hz, a network of phones, start labels.
+use anyhow::{Result, bail};
+use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
+use ndarray::{Array2, ArrayView2};
+
+use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
+use crate::hmm::em::Utterance;
+use crate::hmm::network::PhoneNetwork;
+use crate::model::N_EMITTING;
+use crate::phones::Phone;
+
+/// Centre of audio frame t in seconds.
+pub fn frame_time(t: usize) -> f32 {
+    (t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f32 / SAMPLE_RATE_HZ as f32
+}
+
+/// Video frames at the audio's rate, `[frames, D]`: linear between the middles of the exposures, edges held.
+pub fn to_audio_rate(visual: ArrayView2<f32>, video_hz: f32, frames: usize) -> Array2<f32> {
+    let (n, d) = visual.dim();
+    Array2::from_shape_fn((frames, d), |(t, i)| {
+        let place = (frame_time(t) * video_hz - 0.5).clamp(0.0, (n - 1) as f32);
+        let before = place.floor() as usize;
+        let after = (before + 1).min(n - 1);
+        let share = place - before as f32;
+        visual[[before, i]] * (1.0 - share) + visual[[after, i]] * share
+    })
+}
+
+/// Phones of a clip with times, from its labels: phone labels, else word times with even phones, else even phones
+/// over the whole clip.
+fn timed_phones(clip: &Clip) -> Vec<PhoneLabel> {
+    if !clip.phones.is_empty() {
+        return clip.phones.clone();
+    }
+    let end = frame_time(clip.audio_frames);
+    let timed = clip.words.iter().all(|w| w.time.is_some());
+    if timed {
+        clip.words
+            .iter()
+            .flat_map(|w| {
+                let (from, to) = w.time.unwrap_or((0.0, end));
+                even(&w.pronunciations[0], from, to)
+            })
+            .collect()
+    } else {
+        let mut said: Vec<String> = vec!["sil".into()];
+        said.extend(
+            clip.words
+                .iter()
+                .flat_map(|w| w.pronunciations[0].iter().cloned()),
+        );
+        said.push("sil".into());
+        even(&said, 0.0, end)
+    }
+}
+
+fn even(phones: &[String], from: f32, to: f32) -> Vec<PhoneLabel> {
+    let each = (to - from) / phones.len() as f32;
+    phones
+        .iter()
+        .enumerate()
+        .map(|(n, phone)| PhoneLabel {
+            phone: phone.clone(),
+            start: from + n as f32 * each,
+            end: from + (n + 1) as f32 * each,
+        })
+        .collect()
+}
+
+/// Phone (model index) and state of every frame; frames that no label covers are silence.
+fn start_labels(
+    labels: &[PhoneLabel],
+    frames: usize,
+    index: &dyn Fn(Phone) -> Option<usize>,
+) -> Result<Vec<(usize, usize)>> {
+    let Some(silence) = index(Phone::SIL) else {
+        bail!("the model has no phone for silence")
+    };
+    let mut out = vec![(silence, N_EMITTING / 2); frames];
+    for label in labels {
+        let Some(phone) = Phone::from_name(&label.phone).and_then(index) else {
+            continue;
+        };
+        for (t, place) in out.iter_mut().enumerate() {
+            let time = frame_time(t);
+            if time >= label.start && time < label.end {
+                let state = (time - label.start) / (label.end - label.start) * N_EMITTING as f32;
+                *place = (phone, (state as usize).min(N_EMITTING - 1));
+            }
+        }
+    }
+    Ok(out)
+}
+
+/// The network that training follows: the labelled phones one by one, or the transcript with its alternatives.
+fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Option<PhoneNetwork> {
+    if clip.phones.is_empty() {
+        return PhoneNetwork::transcript(&clip.words, index);
+    }
+    let mut said: Vec<usize> = Vec::new();
+    for label in &clip.phones {
+        let phone = Phone::from_name(&label.phone).and_then(index)?;
+        let pause = label.phone == "sil" || label.phone == "sp";
+        if !(pause && said.last() == Some(&phone)) {
+            said.push(phone);
+        }
+    }
+    (!said.is_empty()).then(|| PhoneNetwork::chain(&said))
+}
+
+/// Reads one clip; `Err` says why it cannot be used.
+pub fn utterance(
+    folder: &FeatureFolder,
+    clip: &Clip,
+    index: &dyn Fn(Phone) -> Option<usize>,
+) -> Result<Utterance> {
+    let audio = folder.audio(clip)?;
+    let visual = match clip.video_frames {
+        0 => None,
+        _ => Some(to_audio_rate(
+            folder.visual(clip)?.view(),
+            clip.video_hz,
+            clip.audio_frames,
+        )),
+    };
+    let Some(network) = network(clip, index) else {
+        bail!(
+            "clip {}: its transcript holds a phone that the model does not have, or none at all",
+            clip.id
+        )
+    };
+    if network.shortest(N_EMITTING) > audio.nrows() {
+        bail!(
+            "clip {}: {} frames are too few for its phones",
+            clip.id,
+            audio.nrows()
+        );
+    }
+    let start = start_labels(&timed_phones(clip), clip.audio_frames, index)?;
+    Ok(Utterance {
+        id: clip.id.clone(),
+        audio,
+        visual,
+        network,
+        start,
+    })
+}
+
+/// Phones that a split's clips may say, in table order, silence always among them.
+pub fn phones_said<'a>(clips: impl Iterator<Item = &'a Clip>) -> Vec<Phone> {
+    let mut said: Vec<Phone> = vec![Phone::SIL, Phone::SP];
+    for clip in clips {
+        let labelled = clip.phones.iter().map(|l| l.phone.as_str());
+        let spoken = clip
+            .words
+            .iter()
+            .flat_map(|w| w.pronunciations.iter().flatten())
+            .map(String::as_str);
+        said.extend(labelled.chain(spoken).filter_map(Phone::from_name));
+    }
+    said.sort_unstable();
+    said.dedup();
+    said
+}
+
+/// All usable clips of a split, and a line for each that is not.
+pub fn load(
+    folder: &FeatureFolder,
+    split: Split,
+    index: &(dyn Fn(Phone) -> Option<usize> + Sync),
+) -> (Vec<Utterance>, Vec<String>) {
+    use rayon::prelude::*;
+    let clips: Vec<&Clip> = folder.split(split).collect();
+    let read: Vec<Result<Utterance>> = clips
+        .par_iter()
+        .map(|clip| utterance(folder, clip, index))
+        .collect();
+    let (mut utterances, mut refused) = (Vec::new(), Vec::new());
+    for result in read {
+        match result {
+            Ok(utterance) => utterances.push(utterance),
+            Err(error) => refused.push(format!("{error:#}")),
+        }
+    }
+    (utterances, refused)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn video_is_read_at_the_middle_of_its_exposures() {
+        let visual = array![[0.0f32], [4.0], [8.0]];
+        let up = to_audio_rate(visual.view(), 25.0, 12);
+        // Frame 1 is exposed around 60 ms; audio frame 4 is centred at 52.5 ms, frame 5 at 62.5 ms.
+        assert!((up[[4, 0]] - (4.0 - 0.75)).abs() < 1e-4);
+        assert!((up[[5, 0]] - (4.0 + 0.25)).abs() < 1e-4);
+        assert_eq!((up[[0, 0]], up[[11, 0]]), (0.0, 8.0));
+    }
+
+    #[test]
+    fn labels_spread_evenly_over_states() {
+        let labels = even(&["b".into(), "iy".into()], 0.1, 0.3);
+        let index = |p: Phone| Some(usize::from(p.0));
+        let start = start_labels(&labels, 40, &index).unwrap();
+        let b = usize::from(Phone::from_name("b").unwrap().0);
+        assert_eq!(start[0].0, 0);
+        assert_eq!(start.iter().filter(|(p, _)| *p == b).count(), 10);
+        for state in 0..N_EMITTING {
+            assert_eq!(start.iter().filter(|(p, i)| (*p, *i) == (b, state)).count(), 2);
+        }
+    }
+}
