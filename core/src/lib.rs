@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 pub mod parameters;
+pub mod wire;
 
 /// Sampling rate of all audio that enters the core.
 pub const SAMPLE_RATE_HZ: u32 = 16_000;

@@ -1,2 +1,17 @@
+//! Cases that run both on the host and in QEMU (`tests/tests/host.rs`, `tests/tests/target.rs`).
+//!
+//! A case is a function without arguments that panics when it fails. To add one: write it in the module of its
+//! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.
 #![no_std]
-//! Cases shared by the host run and the QEMU run.
+
+pub mod wire;
+
+/// Calls the macro `$each` with every case, grouped by module.
+#[macro_export]
+macro_rules! cases {
+    ($each:ident) => {
+        $each! {
+            wire { crc_check_value }
+        }
+    };
+}

@@ -1,0 +1,342 @@
+//! Messages between device and host: COBS frames, postcard payloads, CRC-16 (`docs/wire.md` is the specification).
+//!
+//! ```text
+//! message → payload (postcard) → payload ‖ CRC-16, low byte first → COBS → 0
+//! ```
+//!
+//! A zero byte ends every frame and is nowhere else, so a receiver that has lost its place finds it again at the
+//! next zero. Nothing here allocates or panics, whatever the bytes.
+#![deny(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic
+)]
+
+use core::fmt;
+
+use cobs::{DecodeResult, DecoderState};
+use crc::{CRC_16_IBM_3740, Crc, Digest};
+use heapless::Vec;
+use postcard::ser_flavors::{Cobs, Flavor, Slice};
+use serde::{Deserialize, Serialize};
+
+use crate::HOP_SAMPLES;
+use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
+
+/// Version of everything in this file; `Hello` carries it in its second byte, whatever else changes.
+pub const PROTOCOL: u8 = 1;
+/// Most samples that a [`ToDevice::Pcm`] carries: one hop.
+pub const MAX_PCM_SAMPLES: usize = HOP_SAMPLES;
+/// Longest payload, without its CRC, in bytes: a full `Pcm` (its 320 bytes of sound, their number in two, the
+/// sequence in up to five, the message number in one). A `Hello` with 64 parameters takes at most 275.
+pub const MAX_PAYLOAD: usize = 2 * MAX_PCM_SAMPLES + 8;
+/// Longest frame on the line in bytes: payload, CRC, one COBS byte for the start and each 254, the zero.
+pub const MAX_ENCODED: usize = MAX_PAYLOAD + CRC_BYTES + 2 + 1;
+
+const CRC_BYTES: usize = 2;
+/// CRC-16/IBM-3740 (polynomial 1021, start ffff): check value 29b1.
+static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+/// Number of `Hello` among the messages to the host: the first byte of its payload.
+const HELLO: u8 = 0;
+
+/// Device → host.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "no allocation to put the large variant into"
+)]
+pub enum ToHost {
+    Hello(Hello),
+    Frame(Frame),
+    Status(Status),
+}
+
+/// What the device is and how to read its frames. Sent at `Start`, after `Profile`, and about once a second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Hello {
+    /// [`PROTOCOL`]. Stays the first field in every version.
+    pub protocol: u8,
+    /// Which model made the parameters; the host must have the same one to draw them.
+    pub model: u32,
+    /// Real units of one LSB of each parameter, as many as a frame has parameters. Carried, not computed with.
+    pub scales: Vec<f32, MAX_PARAMETERS>,
+    /// Parameter frames a second.
+    pub rate_hz: u16,
+    /// Samples that the device must hear after a frame's `sample` before it sends that frame.
+    pub lag_samples: u16,
+}
+
+/// One frame of mouth parameters.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Frame {
+    /// Counts the frames made since `Start`, sent or not, modulo 2³²: a gap is a loss.
+    pub sequence: u32,
+    /// Sample at the centre of the frame's window since `Start`, modulo 2³².
+    pub sample: u32,
+    /// Eigenmouth weights in units of `Hello`'s scales.
+    pub parameters: Vec<i16, MAX_PARAMETERS>,
+    /// Occupancy of each viseme, 255 = 1.
+    pub viseme_weights: [u8; N_VISEMES],
+}
+
+impl Frame {
+    /// The message for one frame out of the converter.
+    pub fn new(sequence: u32, frame: &ParameterFrame) -> Self {
+        Self {
+            sequence,
+            sample: frame.sample,
+            parameters: frame.values.clone(),
+            viseme_weights: frame.viseme_weights,
+        }
+    }
+}
+
+/// How the device is doing. Sent about once a second and at `Stop`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Share of the time since the last `Status` that went into computing, 1000 = all of it. 0 where the board has
+    /// no clock to tell.
+    pub load_permille: u16,
+    /// Hops of sound lost since `Start`: they came before the last was worked off, or got damaged on the line.
+    pub overruns: u32,
+    /// Frames lost since `Start` because the line was full.
+    pub dropped: u32,
+}
+
+/// Host → device.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ToDevice<'a> {
+    /// Forget all sound so far and begin: `Hello`, then frames.
+    Start,
+    /// No more sound: the frames still held back, then `Status`.
+    Stop,
+    /// Use another trade-off of delay against quality, from a clean start as with `Start`.
+    Profile(Profile),
+    /// Sound for boards without a microphone, and for QEMU.
+    #[serde(borrow)]
+    Pcm(Pcm<'a>),
+}
+
+/// Delay profiles (DESIGN section 5).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Profile {
+    /// At most 45 ms of algorithmic delay.
+    Live,
+    /// At most 80 ms.
+    Standard,
+    /// No limit: the host delays the sound.
+    Studio,
+}
+
+/// Up to [`MAX_PCM_SAMPLES`] samples, 16 kHz mono.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Pcm<'a> {
+    /// Counts the `Pcm` messages since `Start`, modulo 2³².
+    pub sequence: u32,
+    /// i16, low byte first.
+    bytes: &'a [u8],
+}
+
+impl<'a> Pcm<'a> {
+    /// A message whose samples are written to `bytes`; the samples that it has room for, 160 at most.
+    pub fn new(sequence: u32, samples: &[i16], bytes: &'a mut [u8; 2 * MAX_PCM_SAMPLES]) -> Self {
+        let mut length = 0;
+        for (pair, sample) in bytes.chunks_exact_mut(2).zip(samples) {
+            pair.copy_from_slice(&sample.to_le_bytes());
+            length += 2;
+        }
+        let bytes = bytes.get(..length).unwrap_or_default();
+        Self { sequence, bytes }
+    }
+
+    /// The samples in time order.
+    pub fn samples(&self) -> impl ExactSizeIterator<Item = i16> + use<'a> {
+        self.bytes.chunks_exact(2).map(|pair| match *pair {
+            [low, high] => i16::from_le_bytes([low, high]),
+            _ => 0,
+        })
+    }
+}
+
+/// Why bytes between two zeros are no message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WireError {
+    /// The frame ended inside a COBS run or is shorter than its CRC.
+    Cut,
+    /// More bytes than any message has.
+    TooLong,
+    /// The CRC does not fit the payload.
+    Damaged,
+    /// No message of this protocol version, or bytes left over behind one.
+    Malformed,
+    /// A `Hello` of another protocol version.
+    Protocol { theirs: u8 },
+}
+
+impl fmt::Display for WireError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Cut => write!(f, "frame cut short"),
+            Self::TooLong => write!(f, "frame longer than any message"),
+            Self::Damaged => write!(f, "frame damaged: its checksum does not fit"),
+            Self::Malformed => write!(f, "frame is no message of protocol {PROTOCOL}"),
+            Self::Protocol { theirs } => {
+                write!(f, "device speaks protocol {theirs}, this program {PROTOCOL}")
+            }
+        }
+    }
+}
+
+impl core::error::Error for WireError {}
+
+/// The buffer is smaller than the message; [`MAX_ENCODED`] bytes are always enough.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BufferTooSmall;
+
+impl fmt::Display for BufferTooSmall {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "buffer smaller than the message; {MAX_ENCODED} bytes are always enough"
+        )
+    }
+}
+
+impl core::error::Error for BufferTooSmall {}
+
+/// A message of one direction.
+pub trait Message<'a>: Serialize + Deserialize<'a> {
+    /// The message of a payload whose CRC was right.
+    fn from_payload(payload: &'a [u8]) -> Result<Self, WireError>;
+}
+
+impl<'a> Message<'a> for ToHost {
+    fn from_payload(payload: &'a [u8]) -> Result<Self, WireError> {
+        match *payload {
+            [HELLO, theirs, ..] if theirs != PROTOCOL => Err(WireError::Protocol { theirs }),
+            _ => parse(payload),
+        }
+    }
+}
+
+impl<'a> Message<'a> for ToDevice<'a> {
+    fn from_payload(payload: &'a [u8]) -> Result<Self, WireError> {
+        match parse(payload)? {
+            ToDevice::Pcm(pcm) if pcm.bytes.len() % 2 != 0 || pcm.bytes.len() > 2 * MAX_PCM_SAMPLES => {
+                Err(WireError::Malformed)
+            }
+            message => Ok(message),
+        }
+    }
+}
+
+/// A whole payload, nothing left over.
+fn parse<'a, M: Deserialize<'a>>(payload: &'a [u8]) -> Result<M, WireError> {
+    match postcard::take_from_bytes(payload) {
+        Ok((message, [])) => Ok(message),
+        _ => Err(WireError::Malformed),
+    }
+}
+
+/// Writes `message` as one frame, its closing zero included, to the start of `buffer` and returns that part.
+pub fn encode<'b, 'a>(
+    message: &impl Message<'a>,
+    buffer: &'b mut [u8],
+) -> Result<&'b mut [u8], BufferTooSmall> {
+    let frame = Cobs::try_new(Slice::new(buffer)).and_then(|inner| {
+        let digest = CRC.digest();
+        postcard::serialize_with_flavor(message, WithCrc { digest, inner })
+    });
+    frame.map_err(|_| BufferTooSmall)
+}
+
+/// Sends bytes on and, at the end, their CRC.
+struct WithCrc<F> {
+    digest: Digest<'static, u16>,
+    inner: F,
+}
+
+impl<F: Flavor> Flavor for WithCrc<F> {
+    type Output = F::Output;
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.digest.update(&[byte]);
+        self.inner.try_push(byte)
+    }
+
+    fn finalize(mut self) -> postcard::Result<F::Output> {
+        self.inner.try_extend(&self.digest.finalize().to_le_bytes())?;
+        self.inner.finalize()
+    }
+}
+
+/// Takes bytes off a line one by one and gives messages.
+#[derive(Debug)]
+pub struct Receiver {
+    cobs: DecoderState,
+    /// Decoded so far: payload and CRC.
+    bytes: Vec<u8, { MAX_PAYLOAD + CRC_BYTES }>,
+    /// The frame outgrew `bytes`.
+    overlong: bool,
+    /// The last byte ended a frame: `bytes` holds it until the next one.
+    ended: bool,
+}
+
+impl Default for Receiver {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Receiver {
+    pub const fn new() -> Self {
+        Self {
+            cobs: DecoderState::Idle,
+            bytes: Vec::new(),
+            overlong: false,
+            ended: false,
+        }
+    }
+
+    /// Takes one byte. `None` inside a frame and for the zeros between frames; at the end of a frame its message, or
+    /// why it is none. Either way the next byte begins afresh.
+    pub fn push<'a, M: Message<'a>>(&'a mut self, byte: u8) -> Option<Result<M, WireError>> {
+        if core::mem::take(&mut self.ended) {
+            self.bytes.clear();
+            self.overlong = false;
+        }
+        match self.cobs.feed(byte) {
+            Ok(DecodeResult::NoData) => None,
+            Ok(DecodeResult::DataContinue(decoded)) => {
+                self.overlong |= self.bytes.push(decoded).is_err();
+                None
+            }
+            Ok(DecodeResult::DataComplete) => {
+                self.ended = true;
+                Some(self.payload().and_then(M::from_payload))
+            }
+            Err(_) => {
+                self.ended = true;
+                Some(Err(if self.overlong {
+                    WireError::TooLong
+                } else {
+                    WireError::Cut
+                }))
+            }
+        }
+    }
+
+    /// The payload of a whole frame, its CRC checked and taken off.
+    fn payload(&self) -> Result<&[u8], WireError> {
+        if self.overlong {
+            return Err(WireError::TooLong);
+        }
+        let (payload, crc) = self.bytes.split_last_chunk::<CRC_BYTES>().ok_or(WireError::Cut)?;
+        if CRC.checksum(payload) == u16::from_le_bytes(*crc) {
+            Ok(payload)
+        } else {
+            Err(WireError::Damaged)
+        }
+    }
+}
