@@ -4,6 +4,7 @@
 //! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.
 #![no_std]
 
+pub mod random;
 pub mod wire;
 
 /// Calls the macro `$each` with every case, grouped by module.
@@ -11,7 +12,17 @@ pub mod wire;
 macro_rules! cases {
     ($each:ident) => {
         $each! {
-            wire { crc_check_value }
+            wire {
+                reference_crc_check_value,
+                encodes_as_specified,
+                round_trip,
+                short_buffers_are_refused,
+                truncation,
+                corruption,
+                random_bytes,
+                random_payloads,
+                refusals_name_their_reason,
+            }
         }
     };
 }
