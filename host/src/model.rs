@@ -116,6 +116,15 @@ impl Model {
         self.maps.global.nrows()
     }
 
+    /// Future that a live mouth waits for, in ms between frame centres: the context's last tap or the lag behind ΔΔ
+    /// (whichever is later), and the frame that the 3-frame smoothing adds.
+    pub fn look_ahead_ms(&self) -> u32 {
+        const DELTA_FRAMES: usize = 4;
+        let context = self.context.taps.last().map_or(0, |t| (*t).max(0) as usize);
+        let frames = context.max(self.following.lag + DELTA_FRAMES) + 1;
+        10 * frames as u32
+    }
+
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
         out.note("kind", "local-linear ph-vi-chmm");
