@@ -57,10 +57,7 @@ pub fn score(
     truths: &[Truth],
     predict: impl Fn(&Truth) -> Result<Array2<f32>> + Sync,
 ) -> Result<Row> {
-    let said: Vec<Array2<f32>> = truths
-        .par_iter()
-        .map(|truth| predict(truth))
-        .collect::<Result<_>>()?;
+    let said: Vec<Array2<f32>> = truths.par_iter().map(&predict).collect::<Result<_>>()?;
     let size = truths.first().map_or(0, |t| t.visual.ncols());
     let mut score = Score::new(size);
     for (truth, said) in truths.iter().zip(&said) {
