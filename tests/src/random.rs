@@ -18,6 +18,6 @@ impl Random {
 
     /// 0 to `limit` − 1.
     pub fn below(&mut self, limit: u32) -> u32 {
-        (u64::from(self.next_u32()) * u64::from(limit) >> 32) as u32
+        ((u64::from(self.next_u32()) * u64::from(limit)) >> 32) as u32
     }
 }

@@ -6,6 +6,10 @@ use crate::random::Random;
 
 /// A message of either direction.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(
+    clippy::large_enum_variant,
+    reason = "no allocation to put the large variant into"
+)]
 enum Either<'a> {
     ToHost(ToHost),
     ToDevice(ToDevice<'a>),
