@@ -5,7 +5,10 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod fixed;
+pub mod frontend;
 pub mod parameters;
+pub mod tables;
 pub mod wire;
 
 /// Sampling rate of all audio that enters the core.

@@ -13,6 +13,7 @@ pub mod log;
 pub mod mel;
 pub mod normalise;
 pub mod preemphasis;
+pub mod tables;
 pub mod window;
 
 pub use delta::deltas;
