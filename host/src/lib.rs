@@ -11,6 +11,7 @@ pub mod evaluate;
 pub mod features;
 pub mod files;
 pub mod hmm;
+pub mod link;
 pub mod local_linear;
 pub mod model;
 pub mod mouth;

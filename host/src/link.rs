@@ -1,0 +1,264 @@
+//! The host's end of the line: bytes from a device in, messages and a count of losses out (`docs/wire.md`).
+use lipstream_core::wire::{Frame, Hello, PROTOCOL, Receiver, ToHost, WireError};
+use thiserror::Error;
+
+/// Why the device at the other end is of no use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum LinkError {
+    #[error(
+        "the device speaks protocol {theirs}, this program {PROTOCOL}: flash the firmware of this program's version"
+    )]
+    Protocol { theirs: u8 },
+    #[error(
+        "the device runs model {theirs:08x}, here is {ours:08x}: flash this model or choose the device's"
+    )]
+    Model { theirs: u32, ours: u32 },
+}
+
+/// What has been lost on the line since the link was opened.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Losses {
+    /// Parameter frames missing in the sequence.
+    pub frames: u64,
+    /// Stretches between two zero bytes that were no message. The first after opening is usually one: the line is
+    /// opened in the middle of a frame.
+    pub damaged: u64,
+    /// Frames that came before a `Hello` told how to read them.
+    pub unread: u64,
+    /// Times that the sequence began anew: `Start`, or a reset of the device.
+    pub restarts: u64,
+}
+
+/// One device's stream of bytes.
+#[derive(Debug)]
+pub struct Link {
+    receiver: Receiver,
+    /// The model that frames will be drawn with; `None` takes any.
+    model: Option<u32>,
+    hello: Option<Hello>,
+    /// Sequence that the next frame should have.
+    next_sequence: Option<u32>,
+    losses: Losses,
+}
+
+impl Link {
+    /// `model` is the id that the device's `Hello` must name; `None` takes any.
+    pub fn new(model: Option<u32>) -> Self {
+        Self {
+            receiver: Receiver::new(),
+            model,
+            hello: None,
+            next_sequence: None,
+            losses: Losses::default(),
+        }
+    }
+
+    /// The device's last `Hello`.
+    pub fn hello(&self) -> Option<&Hello> {
+        self.hello.as_ref()
+    }
+
+    pub fn losses(&self) -> Losses {
+        self.losses
+    }
+
+    /// Takes bytes as they came, cut anywhere, and hands over every message that they complete. Frames are handed
+    /// over only after a `Hello`, and only when they have as many parameters as it says.
+    pub fn push(&mut self, bytes: &[u8], mut on_message: impl FnMut(ToHost)) -> Result<(), LinkError> {
+        for &byte in bytes {
+            match self.receiver.push(byte) {
+                None => {}
+                Some(Ok(message)) => {
+                    if self.accept(&message)? {
+                        on_message(message);
+                    }
+                }
+                Some(Err(WireError::Protocol { theirs })) => return Err(LinkError::Protocol { theirs }),
+                Some(Err(_)) => self.losses.damaged += 1,
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether the message may be used.
+    fn accept(&mut self, message: &ToHost) -> Result<bool, LinkError> {
+        match message {
+            ToHost::Hello(hello) => {
+                let theirs = hello.model;
+                match self.model {
+                    Some(ours) if ours != theirs => Err(LinkError::Model { theirs, ours }),
+                    _ => {
+                        self.hello = Some(hello.clone());
+                        Ok(true)
+                    }
+                }
+            }
+            ToHost::Frame(frame) => Ok(self.accept_frame(frame)),
+            ToHost::Status(_) => Ok(true),
+        }
+    }
+
+    fn accept_frame(&mut self, frame: &Frame) -> bool {
+        let Some(hello) = &self.hello else {
+            self.losses.unread += 1;
+            return false;
+        };
+        if frame.parameters.len() != hello.scales.len() {
+            self.losses.damaged += 1;
+            return false;
+        }
+        if let Some(expected) = self.next_sequence {
+            // Half of the numbers count as ahead, half as behind.
+            let gap = frame.sequence.wrapping_sub(expected);
+            if gap > u32::MAX / 2 {
+                self.losses.restarts += 1;
+            } else {
+                self.losses.frames += u64::from(gap);
+            }
+        }
+        self.next_sequence = Some(frame.sequence.wrapping_add(1));
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use lipstream_core::wire::{MAX_ENCODED, Status, encode};
+
+    fn bytes(message: &ToHost) -> Vec<u8> {
+        encode(message, &mut [0; MAX_ENCODED]).unwrap().to_vec()
+    }
+
+    fn hello(model: u32, n_parameters: usize) -> ToHost {
+        ToHost::Hello(Hello {
+            protocol: PROTOCOL,
+            model,
+            scales: (0..n_parameters).map(|_| 0.5).collect(),
+            rate_hz: 100,
+            lag_samples: 1000,
+        })
+    }
+
+    fn frame(sequence: u32, n_parameters: usize) -> ToHost {
+        ToHost::Frame(Frame {
+            sequence,
+            sample: sequence.wrapping_mul(160).wrapping_add(200),
+            parameters: (0..n_parameters).map(|i| i as i16 * 100).collect(),
+            viseme_weights: [0; lipstream_core::parameters::N_VISEMES],
+        })
+    }
+
+    /// What comes out of `link` for `bytes`.
+    fn received(link: &mut Link, bytes: &[u8]) -> Vec<ToHost> {
+        let mut messages = Vec::new();
+        link.push(bytes, |message| messages.push(message)).unwrap();
+        messages
+    }
+
+    #[test]
+    fn messages_arrive_however_the_bytes_are_cut() {
+        let mut messages = vec![hello(5, 3)];
+        messages.extend((0..20).map(|sequence| frame(sequence, 3)));
+        messages.push(ToHost::Status(Status::default()));
+        let line: Vec<u8> = messages.iter().flat_map(bytes).collect();
+        for piece in [1, 2, 3, 7, 64, line.len()] {
+            let mut link = Link::new(Some(5));
+            let arrived: Vec<ToHost> = line.chunks(piece).flat_map(|c| received(&mut link, c)).collect();
+            assert_eq!(arrived, messages);
+            assert_eq!(link.losses(), Losses::default());
+        }
+    }
+
+    #[test]
+    fn losses_are_counted_from_the_sequence() {
+        let mut link = Link::new(None);
+        received(&mut link, &bytes(&hello(5, 3)));
+        let sent = [7, 8, 12, 13, u32::MAX / 2];
+        for sequence in sent {
+            assert_eq!(
+                received(&mut link, &bytes(&frame(sequence, 3))),
+                [frame(sequence, 3)]
+            );
+        }
+        // 9, 10, 11; 14 to u32::MAX / 2 − 1. Nothing before the first that came.
+        assert_eq!(link.losses().frames, 3 + u64::from(u32::MAX / 2 - 14));
+        assert_eq!(link.losses().restarts, 0);
+        received(&mut link, &bytes(&frame(0, 3)));
+        assert_eq!(link.losses().restarts, 1);
+    }
+
+    #[test]
+    fn the_sequence_wraps_without_loss() {
+        let mut link = Link::new(None);
+        received(&mut link, &bytes(&hello(5, 3)));
+        for sequence in [u32::MAX - 1, u32::MAX, 0, 1] {
+            received(&mut link, &bytes(&frame(sequence, 3)));
+        }
+        assert_eq!(link.losses(), Losses::default());
+    }
+
+    #[test]
+    fn a_line_opened_inside_a_frame_finds_its_place() {
+        let mut line = bytes(&frame(1, 3))[5..].to_vec();
+        line.extend(bytes(&frame(2, 3)));
+        line.extend(bytes(&hello(5, 3)));
+        line.extend(bytes(&frame(3, 3)));
+        let mut link = Link::new(Some(5));
+        assert_eq!(received(&mut link, &line), [hello(5, 3), frame(3, 3)]);
+        let losses = link.losses();
+        assert_eq!((losses.damaged, losses.unread, losses.frames), (1, 1, 0));
+    }
+
+    #[test]
+    fn a_damaged_frame_is_one_loss() {
+        let mut link = Link::new(None);
+        let mut line = bytes(&hello(5, 3));
+        for sequence in 0..5 {
+            let mut encoded = bytes(&frame(sequence, 3));
+            if sequence == 2 {
+                encoded[8] ^= 0x10;
+            }
+            line.extend(encoded);
+        }
+        assert_eq!(received(&mut link, &line).len(), 5);
+        assert_eq!(
+            link.losses(),
+            Losses {
+                frames: 1,
+                damaged: 1,
+                ..Losses::default()
+            }
+        );
+    }
+
+    #[test]
+    fn frames_that_do_not_fit_the_hello_are_refused() {
+        let mut link = Link::new(None);
+        received(&mut link, &bytes(&hello(5, 3)));
+        assert_eq!(received(&mut link, &bytes(&frame(0, 4))), []);
+        assert_eq!(link.losses().damaged, 1);
+    }
+
+    #[test]
+    fn other_models_and_protocols_are_refused_in_words() {
+        let error = Link::new(Some(5))
+            .push(&bytes(&hello(0xabc, 3)), |_| panic!("handed over"))
+            .unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the device runs model 00000abc, here is 00000005: flash this model or choose the device's"
+        );
+        let ToHost::Hello(mut other) = hello(5, 3) else {
+            unreachable!()
+        };
+        other.protocol = 9;
+        let error = Link::new(None)
+            .push(&bytes(&ToHost::Hello(other)), |_| panic!("handed over"))
+            .unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the device speaks protocol 9, this program 1: flash the firmware of this program's version"
+        );
+    }
+}
