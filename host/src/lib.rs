@@ -7,6 +7,7 @@
 
 pub mod audio;
 pub mod cli;
+pub mod cues;
 pub mod evaluate;
 pub mod features;
 pub mod files;
@@ -17,5 +18,6 @@ pub mod model;
 pub mod mouth;
 pub mod phones;
 pub mod reference;
+pub mod render;
 pub mod tensors;
 pub mod train;

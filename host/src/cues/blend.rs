@@ -1,0 +1,225 @@
+//! Viseme weights as weights of the Oculus lip-sync set (15 visemes) and of ARKit's 52 blend shapes, as CSV with one
+//! row every 10 ms.
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use ndarray::ArrayView2;
+
+use super::{centre, check};
+use crate::phones::VISEMES;
+
+/// The Oculus lip-sync visemes, in their order.
+pub const OCULUS: [&str; 15] = [
+    "sil", "PP", "FF", "TH", "DD", "kk", "CH", "SS", "nn", "RR", "aa", "E", "I", "O", "U",
+];
+
+/// Shares of each viseme, in the order of [`VISEMES`], among the Oculus visemes; each row adds up to 1. A class
+/// of ours that is two of theirs is shared out by how often its phones are heard in English.
+const TO_OCULUS: [&[(usize, f32)]; VISEMES.len()] = [
+    &[(0, 1.0)],
+    &[(10, 0.7), (13, 0.3)],
+    &[(14, 0.6), (13, 0.4)],
+    &[(11, 1.0)],
+    &[(12, 1.0)],
+    &[(8, 0.45), (9, 0.55)],
+    &[(7, 1.0)],
+    &[(4, 0.6), (8, 0.4)],
+    &[(6, 1.0)],
+    &[(1, 1.0)],
+    &[(3, 1.0)],
+    &[(2, 1.0)],
+    &[(5, 0.7), (14, 0.3)],
+];
+
+/// ARKit's 52 blend shapes, in the order of Apple's documentation.
+pub const ARKIT: [&str; 52] = [
+    "eyeBlinkLeft",
+    "eyeLookDownLeft",
+    "eyeLookInLeft",
+    "eyeLookOutLeft",
+    "eyeLookUpLeft",
+    "eyeSquintLeft",
+    "eyeWideLeft",
+    "eyeBlinkRight",
+    "eyeLookDownRight",
+    "eyeLookInRight",
+    "eyeLookOutRight",
+    "eyeLookUpRight",
+    "eyeSquintRight",
+    "eyeWideRight",
+    "jawForward",
+    "jawLeft",
+    "jawRight",
+    "jawOpen",
+    "mouthClose",
+    "mouthFunnel",
+    "mouthPucker",
+    "mouthLeft",
+    "mouthRight",
+    "mouthSmileLeft",
+    "mouthSmileRight",
+    "mouthFrownLeft",
+    "mouthFrownRight",
+    "mouthDimpleLeft",
+    "mouthDimpleRight",
+    "mouthStretchLeft",
+    "mouthStretchRight",
+    "mouthRollLower",
+    "mouthRollUpper",
+    "mouthShrugLower",
+    "mouthShrugUpper",
+    "mouthPressLeft",
+    "mouthPressRight",
+    "mouthLowerDownLeft",
+    "mouthLowerDownRight",
+    "mouthUpperUpLeft",
+    "mouthUpperUpRight",
+    "browDownLeft",
+    "browDownRight",
+    "browInnerUp",
+    "browOuterUpLeft",
+    "browOuterUpRight",
+    "cheekPuff",
+    "cheekSquintLeft",
+    "cheekSquintRight",
+    "noseSneerLeft",
+    "noseSneerRight",
+    "tongueOut",
+];
+
+/// What each viseme does to ARKit's shapes, in the order of [`VISEMES`]. A name without Left or Right moves both.
+const TO_ARKIT: [&[(&str, f32)]; VISEMES.len()] = [
+    &[],
+    &[("jawOpen", 0.55), ("mouthFunnel", 0.15), ("mouthLowerDown", 0.25)],
+    &[("jawOpen", 0.2), ("mouthPucker", 0.7), ("mouthFunnel", 0.35)],
+    &[
+        ("jawOpen", 0.4),
+        ("mouthStretch", 0.3),
+        ("mouthLowerDown", 0.35),
+        ("mouthUpperUp", 0.15),
+    ],
+    &[
+        ("jawOpen", 0.15),
+        ("mouthStretch", 0.35),
+        ("mouthSmile", 0.2),
+        ("mouthLowerDown", 0.2),
+    ],
+    &[
+        ("jawOpen", 0.2),
+        ("mouthFunnel", 0.2),
+        ("mouthLowerDown", 0.15),
+        ("tongueOut", 0.05),
+    ],
+    &[
+        ("jawOpen", 0.05),
+        ("mouthStretch", 0.25),
+        ("mouthLowerDown", 0.3),
+        ("mouthUpperUp", 0.1),
+    ],
+    &[
+        ("jawOpen", 0.12),
+        ("mouthStretch", 0.15),
+        ("mouthLowerDown", 0.25),
+    ],
+    &[
+        ("jawOpen", 0.1),
+        ("mouthFunnel", 0.5),
+        ("mouthPucker", 0.15),
+        ("mouthLowerDown", 0.2),
+    ],
+    &[
+        ("mouthPress", 0.4),
+        ("mouthRollLower", 0.3),
+        ("mouthRollUpper", 0.2),
+    ],
+    &[("jawOpen", 0.15), ("tongueOut", 0.25), ("mouthLowerDown", 0.2)],
+    &[
+        ("jawOpen", 0.05),
+        ("mouthRollLower", 0.5),
+        ("mouthUpperUp", 0.25),
+    ],
+    &[("jawOpen", 0.2), ("mouthPucker", 0.15), ("mouthLowerDown", 0.15)],
+];
+
+/// Oculus visemes of viseme weights `[frames, 13]` at 100 Hz.
+pub fn oculus_csv(weights: ArrayView2<f32>) -> Result<String> {
+    let rows = TO_OCULUS.map(|shares| {
+        let mut row = [0.0; OCULUS.len()];
+        for &(k, share) in shares {
+            row[k] = share;
+        }
+        row
+    });
+    table(weights, &OCULUS, &rows)
+}
+
+/// ARKit blend shapes of viseme weights `[frames, 13]` at 100 Hz.
+pub fn arkit_csv(weights: ArrayView2<f32>) -> Result<String> {
+    let rows = TO_ARKIT.map(|effects| {
+        let mut row = [0.0; ARKIT.len()];
+        for &(name, amount) in effects {
+            for (k, shape) in ARKIT.iter().enumerate() {
+                let side = shape.strip_prefix(name);
+                if matches!(side, Some("" | "Left" | "Right")) {
+                    row[k] = amount;
+                }
+            }
+        }
+        row
+    });
+    table(weights, &ARKIT, &rows)
+}
+
+/// Header, then one row a frame: seconds of its centre and weights · rows.
+fn table<const N: usize>(
+    weights: ArrayView2<f32>,
+    names: &[&str; N],
+    rows: &[[f32; N]; VISEMES.len()],
+) -> Result<String> {
+    check(weights)?;
+    let mut out = format!("time,{}\n", names.join(","));
+    for (t, frame) in weights.outer_iter().enumerate() {
+        let mut sums = [0.0f32; N];
+        for (&w, row) in frame.iter().zip(rows) {
+            for (sum, share) in sums.iter_mut().zip(row) {
+                *sum += w * share;
+            }
+        }
+        let _ = write!(out, "{:.4}", centre(t));
+        for sum in sums {
+            let _ = write!(out, ",{:.3}", sum.clamp(0.0, 1.0));
+        }
+        out.push('\n');
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_add_up_and_every_oculus_viseme_is_reached() {
+        let mut reached = [0.0; OCULUS.len()];
+        for shares in TO_OCULUS {
+            let sum: f32 = shares.iter().map(|(_, s)| s).sum();
+            assert!((sum - 1.0).abs() < 1e-6);
+            for &(k, s) in shares {
+                reached[k] += s;
+            }
+        }
+        assert!(reached.iter().all(|r| *r > 0.0), "{reached:?}");
+    }
+
+    #[test]
+    fn every_effect_names_a_blend_shape() {
+        for (name, amount) in TO_ARKIT.iter().flat_map(|e| e.iter()) {
+            let found = ARKIT
+                .iter()
+                .filter(|s| matches!(s.strip_prefix(name), Some("" | "Left" | "Right")))
+                .count();
+            assert!(found == 1 || found == 2, "{name}");
+            assert!((0.0..=1.0).contains(amount));
+        }
+    }
+}

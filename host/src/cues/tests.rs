@@ -1,0 +1,145 @@
+use super::*;
+use crate::phones::Phone;
+use ndarray::Array2;
+
+/// Weights of 1 for the visemes of `phones`, each for so many frames.
+fn spoken(phones: &[(&str, usize)]) -> Array2<f32> {
+    let frames = phones.iter().map(|p| p.1).sum();
+    let mut weights = Array2::zeros((frames, VISEMES.len()));
+    let mut t = 0;
+    for &(name, length) in phones {
+        let viseme = Phone::from_name(name).unwrap().viseme();
+        for _ in 0..length {
+            weights[[t, usize::from(viseme.0)]] = 1.0;
+            t += 1;
+        }
+    }
+    weights
+}
+
+fn letters(cues: &[Cue]) -> String {
+    cues.iter().map(|c| c.shape.letter()).collect()
+}
+
+#[test]
+fn a_word_becomes_its_shapes() {
+    // "move fat lid", as table 1 and the table above say.
+    let weights = spoken(&[
+        ("sil", 20),
+        ("m", 8),
+        ("uw", 12),
+        ("v", 8),
+        ("f", 8),
+        ("ae", 12),
+        ("t", 8),
+        ("l", 8),
+        ("ih", 8),
+        ("d", 8),
+        ("sil", 20),
+    ]);
+    let duration = (119.0 * 160.0 + 400.0) / 16_000.0;
+    let found = cues(weights.view(), duration).unwrap();
+    assert_eq!(letters(&found), "XAFGCBHBX");
+    assert_eq!(found[0].start_s, 0.0);
+    assert_eq!(found.last().unwrap().end_s, duration);
+    for pair in found.windows(2) {
+        assert_eq!(pair[0].end_s, pair[1].start_s);
+        assert!(pair[0].start_s < pair[0].end_s);
+    }
+    // Frame 20's window is centred at sample 3400; it takes over half a hop earlier.
+    assert!((found[1].start_s - (20.0 * 160.0 + 200.0 - 80.0) / 16_000.0).abs() < 1e-9);
+}
+
+#[test]
+fn a_flicker_is_not_shown_but_a_short_closure_is() {
+    let mut weights = spoken(&[("sil", 10), ("aa", 20), ("m", 4), ("aa", 20), ("sil", 10)]);
+    // A doubtful frame inside the vowel.
+    let (open, teeth) = (1, 11);
+    weights[[18, open]] = 0.45;
+    weights[[18, teeth]] = 0.55;
+    let found = cues(weights.view(), 0.65).unwrap();
+    assert_eq!(letters(&found), "XDADX");
+}
+
+#[test]
+fn half_open_half_round_is_e() {
+    let mut weights = Array2::zeros((20, VISEMES.len()));
+    weights.column_mut(1).fill(0.55);
+    weights.column_mut(2).fill(0.45);
+    assert_eq!(letters(&cues(weights.view(), 0.2).unwrap()), "E");
+}
+
+#[test]
+fn weights_that_are_none_are_refused() {
+    assert!(cues(Array2::zeros((0, 13)).view(), 1.0).is_err());
+    assert!(cues(Array2::zeros((5, 12)).view(), 1.0).is_err());
+    let mut weights = Array2::zeros((5, 13));
+    weights[[2, 3]] = f32::NAN;
+    assert!(cues(weights.view(), 1.0).is_err());
+}
+
+fn two() -> [Cue; 2] {
+    [
+        Cue {
+            start_s: 0.0,
+            end_s: 0.51,
+            shape: Shape::X,
+        },
+        Cue {
+            start_s: 0.51,
+            end_s: 1.25,
+            shape: Shape::D,
+        },
+    ]
+}
+
+#[test]
+fn tsv_ends_with_the_mouth_at_rest() {
+    assert_eq!(
+        write(Format::Tsv, &two(), "a.wav"),
+        "0.00\tX\n0.51\tD\n1.25\tX\n"
+    );
+}
+
+#[test]
+fn dat_counts_pictures_from_one() {
+    assert_eq!(
+        write(Format::Dat, &two(), "a.wav"),
+        "MohoSwitch1\n1 X\n13 D\n31 X\n"
+    );
+}
+
+#[test]
+fn json_is_json() {
+    let text = write(Format::Json, &two(), "C:\\a \"b\".wav");
+    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(value["metadata"]["soundFile"], "C:\\a \"b\".wav");
+    assert_eq!(value["metadata"]["duration"], 1.25);
+    assert_eq!(value["mouthCues"][1]["start"], 0.51);
+    assert_eq!(value["mouthCues"][1]["value"], "D");
+    assert_eq!(value["mouthCues"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn xml_escapes_names() {
+    let text = write(Format::Xml, &two(), "a<b>&c.wav");
+    assert!(text.contains("<soundFile>a&lt;b&gt;&amp;c.wav</soundFile>"));
+    assert!(text.contains("<mouthCue start=\"0.51\" end=\"1.25\">D</mouthCue>"));
+    assert!(text.starts_with("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<rhubarbResult>"));
+}
+
+#[test]
+fn tables_have_a_row_a_frame() {
+    let weights = spoken(&[("sil", 2), ("m", 2)]);
+    let oculus = oculus_csv(weights.view()).unwrap();
+    let rows: Vec<Vec<&str>> = oculus.lines().map(|l| l.split(',').collect()).collect();
+    assert_eq!(rows.len(), 5);
+    assert!(rows.iter().all(|r| r.len() == 16));
+    assert_eq!((rows[0][1], rows[1][1], rows[1][0]), ("sil", "1.000", "0.0125"));
+    assert_eq!((rows[0][2], rows[3][2]), ("PP", "1.000"));
+    let arkit = arkit_csv(weights.view()).unwrap();
+    let rows: Vec<Vec<&str>> = arkit.lines().map(|l| l.split(',').collect()).collect();
+    assert!(rows.iter().all(|r| r.len() == 53));
+    let press = rows[0].iter().position(|n| *n == "mouthPressLeft").unwrap();
+    assert_eq!((rows[1][press], rows[3][press]), ("0.000", "0.400"));
+}

@@ -1,0 +1,163 @@
+//! One picture: PCA expansion (X&L eq. 16), camera noise (section 6.1), enlargement.
+use anyhow::{Result, anyhow};
+use ndarray::ArrayView1;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_pcg::Pcg32;
+use resize::Pixel;
+use resize::px::RGB;
+
+use super::Settings;
+use crate::mouth::MouthSpace;
+
+/// Draws mouths of one size.
+pub struct Painter<'a> {
+    space: &'a MouthSpace,
+    enlarge: resize::Resizer<resize::formats::Rgb<f32, f32>>,
+    width: usize,
+    height: usize,
+    noise: f32,
+    random: Pcg32,
+}
+
+impl<'a> Painter<'a> {
+    pub fn new(space: &'a MouthSpace, settings: &Settings) -> Result<Self> {
+        let (width, height) = settings.size(space)?;
+        if !(0.0..=100.0).contains(&settings.noise) {
+            return Err(anyhow!("noise of {} levels: choose 0 to 100", settings.noise));
+        }
+        let enlarge = resize::new(
+            space.width,
+            space.height,
+            width,
+            height,
+            Pixel::RGBF32,
+            // Interpolates the pixels it is given: no blur, and less ringing than Lanczos.
+            resize::Type::Catrom,
+        )
+        .map_err(|e| anyhow!("cannot enlarge the mouth to {width}×{height}: {e}"))?;
+        Ok(Self {
+            space,
+            enlarge,
+            width,
+            height,
+            noise: settings.noise,
+            // The same parameters give the same video.
+            random: Pcg32::seed_from_u64(7),
+        })
+    }
+
+    /// Width and height.
+    pub fn size(&self) -> (usize, usize) {
+        (self.width, self.height)
+    }
+
+    /// Rows of interleaved R, G, B for eigenmouth weights `[D]`.
+    pub fn paint(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
+        let mut image = self.space.expand(weights);
+        if self.noise > 0.0 {
+            for value in &mut image {
+                *value += self.noise * gaussian(&mut self.random);
+            }
+        }
+        let native: Vec<RGB<f32>> = image
+            .as_slice()
+            .expect("a new array lies in one piece")
+            .chunks_exact(3)
+            .map(|p| RGB::new(level(p[0]), level(p[1]), level(p[2])))
+            .collect();
+        let mut large = vec![RGB::new(0.0, 0.0, 0.0); self.width * self.height];
+        self.enlarge
+            .resize(&native, &mut large)
+            .map_err(|e| anyhow!("cannot enlarge the mouth: {e}"))?;
+        Ok(large
+            .iter()
+            .flat_map(|p| [p.r, p.g, p.b])
+            .map(|v| level(v.round()) as u8)
+            .collect())
+    }
+}
+
+fn level(value: f32) -> f32 {
+    value.clamp(0.0, 255.0)
+}
+
+/// Normal deviate (Box and Muller).
+fn gaussian(random: &mut Pcg32) -> f32 {
+    let u: f32 = 1.0 - random.random::<f32>();
+    let v: f32 = random.random();
+    (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::{Array1, Array2, array};
+
+    fn flat() -> MouthSpace {
+        MouthSpace {
+            width: 16,
+            height: 16,
+            mean: Array1::from_elem(16 * 16 * 3, 100.0),
+            basis: Array2::from_elem((1, 16 * 16 * 3), 1.0),
+            deviation: array![1.0],
+        }
+    }
+
+    #[test]
+    fn flat_colours_stay_flat_and_are_clipped() {
+        let space = flat();
+        let mut painter = Painter::new(&space, &Settings::default()).unwrap();
+        assert_eq!(painter.size(), (384, 384));
+        for (weight, want) in [(0.0, 100), (55.4, 155), (500.0, 255), (-500.0, 0)] {
+            let rgb = painter.paint(array![weight].view()).unwrap();
+            assert_eq!(rgb.len(), 384 * 384 * 3);
+            assert!(rgb.iter().all(|&v| v == want), "{weight}");
+        }
+    }
+
+    #[test]
+    fn noise_has_the_deviation_asked_for() {
+        let space = flat();
+        let settings = Settings {
+            scale: Some(1),
+            noise: 5.0,
+            ..Settings::default()
+        };
+        let mut painter = Painter::new(&space, &settings).unwrap();
+        let mut values = Vec::new();
+        for _ in 0..20 {
+            values.extend(painter.paint(array![0.0].view()).unwrap());
+        }
+        let n = values.len() as f64;
+        let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
+        let variance = values.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum::<f64>() / n;
+        // Rounding to whole levels adds 1/12.
+        assert!((mean - 100.0).abs() < 0.2, "{mean}");
+        assert!((variance.sqrt() - 5.0).abs() < 0.2, "{variance}");
+    }
+
+    #[test]
+    fn impossible_sizes_are_refused() {
+        let space = flat();
+        for settings in [
+            Settings {
+                scale: Some(0),
+                ..Settings::default()
+            },
+            Settings {
+                scale: Some(10_000),
+                ..Settings::default()
+            },
+            Settings {
+                fps: 0,
+                ..Settings::default()
+            },
+            Settings {
+                noise: f32::NAN,
+                ..Settings::default()
+            },
+        ] {
+            assert!(Painter::new(&space, &settings).is_err(), "{settings:?}");
+        }
+    }
+}
