@@ -133,11 +133,7 @@ const TO_ARKIT: [&[(&str, f32)]; VISEMES.len()] = [
         ("mouthRollUpper", 0.2),
     ],
     &[("jawOpen", 0.15), ("tongueOut", 0.25), ("mouthLowerDown", 0.2)],
-    &[
-        ("jawOpen", 0.05),
-        ("mouthRollLower", 0.5),
-        ("mouthUpperUp", 0.25),
-    ],
+    &[("jawOpen", 0.05), ("mouthRollLower", 0.5), ("mouthUpperUp", 0.25)],
     &[("jawOpen", 0.2), ("mouthPucker", 0.15), ("mouthLowerDown", 0.15)],
 ];
 

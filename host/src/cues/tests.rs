@@ -95,10 +95,7 @@ fn two() -> [Cue; 2] {
 
 #[test]
 fn tsv_ends_with_the_mouth_at_rest() {
-    assert_eq!(
-        write(Format::Tsv, &two(), "a.wav"),
-        "0.00\tX\n0.51\tD\n1.25\tX\n"
-    );
+    assert_eq!(write(Format::Tsv, &two(), "a.wav"), "0.00\tX\n0.51\tD\n1.25\tX\n");
 }
 
 #[test]
