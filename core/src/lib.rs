@@ -7,6 +7,9 @@
 
 pub mod fixed;
 pub mod frontend;
+pub mod hmm;
+pub mod logmath;
+pub mod model;
 pub mod parameters;
 pub mod tables;
 pub mod wire;

@@ -9,6 +9,7 @@ pub mod audio;
 pub mod cli;
 pub mod cues;
 pub mod evaluate;
+pub mod export;
 pub mod features;
 pub mod files;
 pub mod hmm;

@@ -1,0 +1,384 @@
+//! The checked view of a model's bytes.
+use super::check;
+use super::error::ModelError;
+use super::field::{self, NAME_SIZE, Section, Shape, header, settings};
+use crate::hmm::transition::{N_CHOICES, N_CLASSES};
+use crate::logmath::{LogProb, NEVER_I16};
+use crate::parameters::N_VISEMES;
+use crate::{N_OBSERVATION, N_STATIC};
+
+/// Little-endian i16 in a byte slice.
+#[derive(Clone, Copy, Debug)]
+pub struct I16s<'a>(pub(super) &'a [u8]);
+
+impl<'a> I16s<'a> {
+    /// Number `index`, 0 beyond the end.
+    #[inline]
+    pub fn get(self, index: usize) -> i16 {
+        match self.0.get(2 * index..2 * index + 2) {
+            Some(&[a, b]) => i16::from_le_bytes([a, b]),
+            _ => 0,
+        }
+    }
+
+    #[inline]
+    pub fn iter(self) -> impl ExactSizeIterator<Item = i16> + 'a {
+        self.0.as_chunks().0.iter().map(|b| i16::from_le_bytes(*b))
+    }
+
+    /// Numbers `row·width .. (row + 1)·width`, empty beyond the end.
+    #[inline]
+    pub fn row(self, row: usize, width: usize) -> Self {
+        let start = 2 * row * width;
+        Self(self.0.get(start..start + 2 * width).unwrap_or(&[]))
+    }
+}
+
+/// Little-endian u16 in a byte slice.
+#[derive(Clone, Copy, Debug)]
+pub struct U16s<'a>(pub(super) &'a [u8]);
+
+impl<'a> U16s<'a> {
+    #[inline]
+    pub fn iter(self) -> impl ExactSizeIterator<Item = u16> + 'a {
+        self.0.as_chunks().0.iter().map(|b| u16::from_le_bytes(*b))
+    }
+
+    /// Numbers `row·width .. (row + 1)·width`, empty beyond the end.
+    #[inline]
+    pub fn row(self, row: usize, width: usize) -> Self {
+        let start = 2 * row * width;
+        Self(self.0.get(start..start + 2 * width).unwrap_or(&[]))
+    }
+}
+
+/// One density of a mixture, as it lies in the tables.
+#[derive(Clone, Copy, Debug)]
+pub struct Density<'a> {
+    /// log2 of weight and normaliser; None for one that is not used.
+    pub constant: Option<LogProb>,
+    /// Means, i8 two's complement, `[39]`.
+    pub mean: &'a [u8; N_OBSERVATION],
+    /// Inverse deviations `[39]`.
+    pub inverse_deviation: &'a [u8; N_OBSERVATION],
+}
+
+/// A model whose bytes have been checked: every section is there, has the length that the sizes ask for, and
+/// holds only numbers that the converter can take. It borrows the bytes and copies none of the tables; no
+/// accessor can fail or panic (an index beyond the model's sizes gives zeros or nothing).
+#[derive(Clone, Copy, Debug)]
+pub struct Model<'a> {
+    bytes: &'a [u8],
+    shape: Shape,
+    /// By [`Section`] tag.
+    sections: [&'a [u8]; field::N_SECTIONS],
+}
+
+impl<'a> Model<'a> {
+    /// Checks `bytes` from the first to the last; see [`ModelError`].
+    pub fn new_checked(bytes: &'a [u8]) -> Result<Self, ModelError> {
+        let (shape, sections) = check::layout(bytes)?;
+        let model = Self {
+            bytes,
+            shape,
+            sections,
+        };
+        check::values(&model)?;
+        Ok(model)
+    }
+
+    #[inline]
+    pub(super) fn section(&self, section: Section) -> &'a [u8] {
+        self.sections[section as usize]
+    }
+
+    #[inline]
+    pub(super) fn i16s(&self, section: Section) -> I16s<'a> {
+        I16s(self.section(section))
+    }
+
+    /// The bytes that this is a view of.
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// Number that tells models apart: a checksum of the tables.
+    pub fn id(&self) -> u32 {
+        u32_at(self.bytes, header::MODEL_ID)
+    }
+
+    pub fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// P
+    #[inline]
+    pub fn n_phones(&self) -> usize {
+        self.shape.phones
+    }
+
+    /// D
+    #[inline]
+    pub fn n_parameters(&self) -> usize {
+        self.shape.parameters
+    }
+
+    /// Viseme of a phone, below 13.
+    #[inline]
+    pub fn viseme(&self, phone: usize) -> usize {
+        usize::from(u8_at(self.section(Section::PhoneVisemes), phone))
+    }
+
+    /// Visemes of all phones.
+    #[inline]
+    pub fn visemes(&self) -> &'a [u8] {
+        self.section(Section::PhoneVisemes)
+    }
+
+    /// Name of a phone; empty beyond the last.
+    pub fn phone_name(&self, phone: usize) -> &'a str {
+        let names = self.section(Section::PhoneNames);
+        let name = names
+            .get(NAME_SIZE * phone..NAME_SIZE * (phone + 1))
+            .unwrap_or(&[]);
+        let end = name.iter().position(|b| *b == 0).unwrap_or(name.len());
+        core::str::from_utf8(&name[..end]).unwrap_or("")
+    }
+
+    /// Mean of the raw statics that a stream starts from, Q7.8.
+    pub fn start_mean(&self) -> [i16; N_STATIC] {
+        let mut mean = [0; N_STATIC];
+        for (to, from) in mean.iter_mut().zip(self.i16s(Section::StartMean).iter()) {
+            *to = from;
+        }
+        mean
+    }
+
+    /// Centre (Q7.8) and gain (Q16.16) of each of the 39 numbers of an observation.
+    #[inline]
+    pub fn observation_scaling(&self) -> impl Iterator<Item = (i16, u32)> + 'a {
+        let gains = self.section(Section::ObservationGain).as_chunks().0;
+        self.i16s(Section::ObservationCentre)
+            .iter()
+            .zip(gains.iter().map(|b| u32::from_le_bytes(*b)))
+    }
+
+    /// The densities of audio state 5·phone + i.
+    #[inline]
+    pub fn mixture(&self, state: usize) -> impl Iterator<Item = Density<'a>> + 'a {
+        let k = self.shape.densities;
+        let constants = self
+            .section(Section::DensityConstants)
+            .get(4 * state * k..4 * (state + 1) * k)
+            .unwrap_or(&[]);
+        let size = k * field::DENSITY_SIZE;
+        let densities = self
+            .section(Section::Densities)
+            .get(state * size..(state + 1) * size)
+            .unwrap_or(&[]);
+        let halves = densities.as_chunks::<N_OBSERVATION>().0.as_chunks::<2>().0;
+        constants
+            .as_chunks()
+            .0
+            .iter()
+            .zip(halves)
+            .map(|(constant, [mean, inverse_deviation])| {
+                let constant = i32::from_le_bytes(*constant);
+                Density {
+                    constant: (constant != field::NO_DENSITY).then_some(LogProb::from_q12(constant)),
+                    mean,
+                    inverse_deviation,
+                }
+            })
+    }
+
+    /// Log probabilities of the four choices of a joint state of `phone` in transition class `class`.
+    #[inline]
+    pub fn choices(&self, phone: usize, class: usize) -> [LogProb; N_CHOICES] {
+        let row = self
+            .i16s(Section::Transitions)
+            .row(N_CLASSES * phone + class, N_CHOICES);
+        let mut out = [LogProb::NEVER; N_CHOICES];
+        for (to, from) in out.iter_mut().zip(row.iter()) {
+            *to = LogProb::from_table(from);
+        }
+        out
+    }
+
+    /// Log P(next | phone) for every next phone, Q5.10.
+    #[inline]
+    pub fn bigram(&self, phone: usize) -> I16s<'a> {
+        self.i16s(Section::Bigram).row(phone, self.shape.phones)
+    }
+
+    /// Log P(viseme of the next phone | phone) for every viseme, Q5.10.
+    #[inline]
+    pub fn viseme_bigram(&self, phone: usize) -> I16s<'a> {
+        self.i16s(Section::VisemeBigram).row(phone, N_VISEMES)
+    }
+
+    /// Log P(first phone) for every phone, Q5.10.
+    #[inline]
+    pub fn initial(&self) -> I16s<'a> {
+        self.i16s(Section::Initial)
+    }
+
+    /// Context taps in hops relative to the frame, increasing, −40..=16.
+    #[inline]
+    pub fn taps(&self) -> impl DoubleEndedIterator<Item = i8> + ExactSizeIterator + 'a {
+        self.section(Section::Taps).iter().map(|b| *b as i8)
+    }
+
+    /// The latest tap, hops after the frame; 0 if all lie before it.
+    pub fn look_ahead(&self) -> usize {
+        self.taps()
+            .next_back()
+            .map_or(0, |t| usize::from(t.max(0).unsigned_abs()))
+    }
+
+    /// Rows of the projection: mantissas `[13T]`, shift, offset.
+    #[inline]
+    pub fn projection(&self) -> impl Iterator<Item = SumRow<'a>> + 'a {
+        self.sum_rows(
+            [
+                Section::Projection,
+                Section::ProjectionShift,
+                Section::ProjectionOffset,
+            ],
+            self.shape.taps * N_STATIC,
+        )
+    }
+
+    /// Rows of the global map: mantissas `[X]`, shift, bias.
+    #[inline]
+    pub fn global_map(&self) -> impl Iterator<Item = SumRow<'a>> + 'a {
+        self.sum_rows(
+            [Section::GlobalMap, Section::GlobalShift, Section::GlobalBias],
+            self.shape.inputs,
+        )
+    }
+
+    #[inline]
+    fn sum_rows(
+        &self,
+        [weights, shift, offset]: [Section; 3],
+        width: usize,
+    ) -> impl Iterator<Item = SumRow<'a>> + 'a {
+        self.section(weights)
+            .chunks_exact(2 * width)
+            .zip(self.section(shift))
+            .zip(self.section(offset).as_chunks().0)
+            .map(|((weights, shift), offset)| SumRow {
+                weights: I16s(weights),
+                shift: u32::from(*shift),
+                offset: i32::from_le_bytes(*offset),
+            })
+    }
+
+    /// Rows of the residual map of visual state 5·viseme + j: weights i8 `[X]`, scale, bias.
+    #[inline]
+    pub fn state_map(&self, visual_state: usize) -> impl Iterator<Item = StateRow<'a>> + 'a {
+        let Shape {
+            inputs: x,
+            parameters: d,
+            ..
+        } = self.shape;
+        let size = d * x;
+        let weights = self
+            .section(Section::StateMaps)
+            .get(visual_state * size..(visual_state + 1) * size)
+            .unwrap_or(&[]);
+        weights
+            .chunks_exact(x)
+            .zip(
+                U16s(self.section(Section::StateScale))
+                    .row(visual_state, d)
+                    .iter(),
+            )
+            .zip(self.i16s(Section::StateBias).row(visual_state, d).iter())
+            .map(|((weights, scale), bias)| StateRow { weights, scale, bias })
+    }
+
+    /// Real units of one LSB of each parameter, for the host: never computed with here.
+    pub fn parameter_scales(&self) -> impl ExactSizeIterator<Item = f32> + 'a {
+        self.section(Section::ParameterScale)
+            .as_chunks()
+            .0
+            .iter()
+            .map(|b| f32::from_bits(u32::from_le_bytes(*b)))
+    }
+
+    /// Lag that the model was made for, hops.
+    pub fn lag(&self) -> usize {
+        usize::from(u16_at(self.section(Section::Settings), settings::LAG))
+    }
+
+    /// Whether three frames are averaged.
+    pub fn average(&self) -> bool {
+        u16_at(self.section(Section::Settings), settings::AVERAGE) == 1
+    }
+
+    /// Beam that the model was made for, as a width.
+    pub fn beam(&self) -> LogProb {
+        LogProb::from_q12(u32_at(self.section(Section::Settings), settings::BEAM) as i32)
+    }
+
+    /// Exponent on the audio likelihood, Q16.16.
+    pub fn acoustic_scale(&self) -> u32 {
+        u32_at(self.section(Section::Settings), settings::ACOUSTIC_SCALE)
+    }
+
+    /// LSB 2⁻²⁰: log2 units of 2⁻¹² for one unit of a density's squared distance.
+    pub fn distance_gain(&self) -> u32 {
+        u32_at(self.section(Section::Settings), settings::DISTANCE_GAIN)
+    }
+}
+
+/// One row of a matrix with i16 mantissas: (Σ weight·input >> shift) ± offset.
+#[derive(Clone, Copy, Debug)]
+pub struct SumRow<'a> {
+    pub weights: I16s<'a>,
+    /// At most 40.
+    pub shift: u32,
+    /// Within ±2³⁰.
+    pub offset: i32,
+}
+
+/// One row of a residual map.
+#[derive(Clone, Copy, Debug)]
+pub struct StateRow<'a> {
+    /// i8 two's complement, `[X]`
+    pub weights: &'a [u8],
+    /// Q8.8: parameter LSBs per unit of x and LSB of the weights.
+    pub scale: u16,
+    /// Parameter LSBs.
+    pub bias: i16,
+}
+
+pub(super) fn u8_at(bytes: &[u8], at: usize) -> u8 {
+    bytes.get(at).copied().unwrap_or(0)
+}
+
+pub(super) fn u16_at(bytes: &[u8], at: usize) -> u16 {
+    match bytes.get(at..at + 2) {
+        Some(&[a, b]) => u16::from_le_bytes([a, b]),
+        _ => 0,
+    }
+}
+
+pub(super) fn u32_at(bytes: &[u8], at: usize) -> u32 {
+    match bytes.get(at..at + 4) {
+        Some(&[a, b, c, d]) => u32::from_le_bytes([a, b, c, d]),
+        _ => 0,
+    }
+}
+
+/// Whether a table number may stand for a probability: ≤ 1, "never" allowed.
+pub(super) fn is_probability(value: i16) -> bool {
+    value <= 0
+}
+
+/// Whether a table number is log2 0.
+pub(super) fn is_never(value: i16) -> bool {
+    value == NEVER_I16
+}
