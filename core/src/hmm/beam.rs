@@ -1,0 +1,131 @@
+//! The beam: which joint states stay active.
+//!
+//! A joint state stays if its score is within the beam of the frame's best. If more than the buffer holds would
+//! stay, the best of them do: scores are counted in bins of 1/8 bit, whole bins are kept from the best down, and in
+//! the last bin the lower joint states win. The best token always stays, so the beam never empties.
+use super::token::{Scores, Token};
+use super::transition::JointState;
+use crate::logmath::{FRACTION_BITS, LogProb};
+
+/// Bins of the count: 32 bits below the best, the last one takes everything below.
+const N_BINS: usize = 256;
+/// A bin is 2⁹ LSBs of a [`LogProb`], 1/8 bit.
+const BIN_BITS: u32 = FRACTION_BITS - 3;
+
+#[inline]
+fn bin(best: LogProb, score: LogProb) -> usize {
+    ((best.q12().saturating_sub(score.q12()) >> BIN_BITS) as usize).min(N_BINS - 1)
+}
+
+/// The joint states of `scores` within `width` of the best, at most `N` of them, as tokens relative to the best.
+pub fn prune<const N: usize>(scores: &Scores, width: LogProb, tokens: &mut heapless::Vec<Token, N>) {
+    tokens.clear();
+    let Some(best) = scores.states().map(|s| scores.get(s)).max() else {
+        return;
+    };
+    let floor = LogProb::from_q12(best.q12().saturating_sub(width.q12())).max(LogProb::FLOOR);
+    let within = scores.states().filter(|s| scores.get(*s) >= floor).count();
+    let (last_bin, mut room) = if within <= N {
+        (N_BINS, 0)
+    } else {
+        last_bin::<N>(scores, best, floor)
+    };
+    for state in scores.states() {
+        let score = scores.get(state);
+        if score < floor {
+            continue;
+        }
+        let bin = bin(best, score);
+        if bin > last_bin {
+            continue;
+        }
+        if bin == last_bin {
+            if room == 0 {
+                continue;
+            }
+            room -= 1;
+        }
+        // There is room: at most N are let through.
+        let _ = tokens.push(relative(state, best, score));
+    }
+}
+
+#[inline]
+fn relative(state: JointState, best: LogProb, score: LogProb) -> Token {
+    Token {
+        state,
+        score: LogProb::from_q12(score.q12().saturating_sub(best.q12())).to_score(),
+    }
+}
+
+/// The bin that does not fit as a whole, and how many of it do.
+fn last_bin<const N: usize>(scores: &Scores, best: LogProb, floor: LogProb) -> (usize, usize) {
+    let mut counts = [0u16; N_BINS];
+    for state in scores.states() {
+        let score = scores.get(state);
+        if score >= floor
+            && let Some(count) = counts.get_mut(bin(best, score))
+        {
+            *count += 1;
+        }
+    }
+    let mut room = N;
+    for (bin, count) in counts.iter().enumerate() {
+        let count = usize::from(*count);
+        if count > room {
+            return (bin, room);
+        }
+        room -= count;
+    }
+    (N_BINS, 0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scores(values: impl IntoIterator<Item = (usize, i32)>) -> Scores {
+        let mut scores = Scores::new();
+        for (state, value) in values {
+            scores.put(JointState(state as u16), LogProb::from_q12(value));
+        }
+        scores
+    }
+
+    #[test]
+    fn keeps_what_is_within_the_beam() {
+        let scores = scores([(3, -5 << 12), (700, -1 << 12), (701, -9 << 12), (1871, -2 << 12)]);
+        let mut tokens = heapless::Vec::<Token, 8>::new();
+        prune(&scores, LogProb::from_q12(4 << 12), &mut tokens);
+        let kept: heapless::Vec<_, 8> = tokens.iter().map(|t| (t.state.0, t.score)).collect();
+        assert_eq!(kept[..], [(3, -4 * 256), (700, 0), (1871, -256)]);
+    }
+
+    #[test]
+    fn keeps_the_best_when_there_is_no_room() {
+        // Scores 0, −1, … −99 sixteenths of a bit in a scrambled order of states.
+        let scores = scores((0..100).map(|i| (17 * i % 1009, -(i as i32) << 8)));
+        let mut tokens = heapless::Vec::<Token, 20>::new();
+        prune(&scores, LogProb::from_q12(1 << 26), &mut tokens);
+        assert_eq!(tokens.len(), 20);
+        assert!(tokens.iter().all(|t| t.score > -20 * 16), "{tokens:?}");
+        assert!(tokens.windows(2).all(|w| w[0].state < w[1].state));
+    }
+
+    #[test]
+    fn equal_scores_fill_the_room_exactly() {
+        let scores = scores((0..50).map(|i| (i, -7)));
+        let mut tokens = heapless::Vec::<Token, 20>::new();
+        prune(&scores, LogProb::from_q12(4096), &mut tokens);
+        assert_eq!(tokens.len(), 20);
+    }
+
+    #[test]
+    fn the_best_always_stays() {
+        let scores = scores([(5, -(1 << 25)), (6, -(1 << 26))]);
+        let mut tokens = heapless::Vec::<Token, 4>::new();
+        prune(&scores, LogProb::from_q12(1), &mut tokens);
+        assert_eq!(tokens.len(), 1);
+        assert_eq!(tokens[0].score, 0);
+    }
+}

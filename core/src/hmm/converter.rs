@@ -1,0 +1,236 @@
+//! The converter: statics and observations of the front end in, mouth parameters of one frame at a time out.
+//!
+//! Frame t's occupancies wait for observation t + lag, its context for the statics of t + look-ahead; observations
+//! come [`DELTA_HOPS`] hops after their statics. The moving average over frames t − 1, t, t + 1 (X&L section 6; at the
+//! ends of an utterance over those that exist) costs one hop more. See [`Converter::delay_hops`].
+use super::follower::Follower;
+use super::local_linear::{Gates, History, apply};
+use crate::fixed::saturate_i16;
+use crate::logmath::LogProb;
+use crate::model::Model;
+use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
+use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
+use crate::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC};
+
+/// Hops that an observation comes after its statics.
+pub const DELTA_HOPS: usize = crate::frontend::OBSERVATION_DELAY;
+
+/// Run-time settings; None is the model's own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Settings {
+    /// Hops that an occupancy waits for, beyond the look-ahead of ΔΔ; held to what the window has room for.
+    pub lag: Option<u16>,
+    /// Width of the beam; held to 16384 bits, which is no beam at all.
+    pub beam: Option<LogProb>,
+    /// Exponent on the audio likelihood, Q16.16; held to 4.
+    pub acoustic_scale: Option<u32>,
+    /// Whether three frames are averaged.
+    pub average: Option<bool>,
+}
+
+/// What the gates of a frame were, while its context is still to come.
+#[derive(Clone, Debug)]
+struct Gated {
+    gates: Gates,
+    viseme_weights: [u8; N_VISEMES],
+}
+
+/// Frames that can wait for their context: the latest tap, with room to spare.
+const MAX_WAITING: usize = 18;
+
+/// A frame before the moving average.
+type Raw = (heapless::Vec<i16, MAX_PARAMETERS>, [u8; N_VISEMES]);
+
+/// The state of one stream. `TOKENS` bounds the active joint states, `FRAMES` − 1 the lag.
+#[derive(Clone, Debug)]
+pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
+    model: &'m Model<'m>,
+    lag: usize,
+    average: bool,
+    follower: Follower<'m, TOKENS, FRAMES>,
+    history: History,
+    waiting: heapless::Deque<Gated, MAX_WAITING>,
+    /// Frames gated, frames mapped, frames given out.
+    gated: u32,
+    mapped: u32,
+    given: u32,
+    /// Mapped frames that are still to be given out: frame `given` and its successor.
+    mapped_frames: heapless::Deque<Raw, 2>,
+    /// Values of frame `given` − 1 before averaging.
+    before: heapless::Vec<i16, MAX_PARAMETERS>,
+    ended: bool,
+}
+
+impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES> {
+    pub fn new(model: &'m Model<'m>, settings: Settings) -> Self {
+        Self {
+            model,
+            lag: settings
+                .lag
+                .map_or(model.lag(), usize::from)
+                .min(FRAMES.saturating_sub(1)),
+            average: settings.average.unwrap_or(model.average()),
+            follower: Follower::new(
+                model,
+                settings.beam.unwrap_or(model.beam()),
+                settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
+            ),
+            history: History::new(),
+            waiting: heapless::Deque::new(),
+            gated: 0,
+            mapped: 0,
+            given: 0,
+            mapped_frames: heapless::Deque::new(),
+            before: heapless::Vec::new(),
+            ended: false,
+        }
+    }
+
+    /// Forgets the stream; the next frame is frame 0.
+    pub fn reset(&mut self) {
+        self.follower.reset();
+        self.history.reset();
+        self.waiting.clear();
+        self.mapped_frames.clear();
+        self.before.clear();
+        self.gated = 0;
+        self.mapped = 0;
+        self.given = 0;
+        self.ended = false;
+    }
+
+    /// Lag in force, hops.
+    pub fn lag(&self) -> usize {
+        self.lag
+    }
+
+    /// Hops between a frame and the hop that brings its parameters out.
+    pub fn delay_hops(&self) -> usize {
+        (self.lag + DELTA_HOPS).max(self.model.look_ahead()) + usize::from(self.average)
+    }
+
+    /// Active joint states of the newest frame.
+    pub fn active(&self) -> usize {
+        self.follower.active().len()
+    }
+
+    /// One hop: the next frame's statics (None once the sound has ended), the next observation if there is one yet,
+    /// both Q7.8. Gives at most one frame, [`Converter::delay_hops`] late.
+    pub fn push(
+        &mut self,
+        statics: Option<&[i16; N_STATIC]>,
+        observation: Option<&[i16; N_OBSERVATION]>,
+    ) -> Option<ParameterFrame> {
+        match statics {
+            Some(statics) => self.history.push(statics),
+            None => self.ended = true,
+        }
+        if let Some(observation) = observation {
+            self.follower.follow(observation);
+        }
+        self.gate();
+        self.map();
+        self.give()
+    }
+
+    /// Whether the sound has ended and every frame has been given out.
+    pub fn is_done(&self) -> bool {
+        self.ended && self.given == self.history.count()
+    }
+
+    /// Occupancies of the next frame, once its lag has come or the sound has ended.
+    fn gate(&mut self) {
+        let known = self.follower.count().wrapping_sub(self.gated) as usize;
+        let all = self.ended && self.follower.count() == self.history.count();
+        if known == 0 || (known <= self.lag && !all) || self.waiting.is_full() {
+            return;
+        }
+        let occupancy = self.follower.occupancies(known - 1);
+        // There is room, as has been checked.
+        let _ = self.waiting.push_back(Gated {
+            gates: Gates::choose(&occupancy),
+            viseme_weights: viseme_weights(&occupancy),
+        });
+        self.gated = self.gated.wrapping_add(1);
+    }
+
+    /// Maps the next frame, once its gates and its context are there.
+    fn map(&mut self) {
+        let ahead = self.history.count().wrapping_sub(self.mapped) as usize;
+        if self.mapped_frames.is_full() || (ahead <= self.model.look_ahead() && !self.ended) {
+            return;
+        }
+        let Some(gated) = self.waiting.pop_front() else {
+            return;
+        };
+        let x = self.history.project(self.model, self.mapped);
+        let values = apply(self.model, &x, &gated.gates);
+        // There is room, as has been checked.
+        let _ = self.mapped_frames.push_back((values, gated.viseme_weights));
+        self.mapped = self.mapped.wrapping_add(1);
+    }
+
+    /// The next frame, averaged with its neighbours.
+    fn give(&mut self) -> Option<ParameterFrame> {
+        let last = self.ended && self.given.wrapping_add(1) == self.history.count();
+        let (values, viseme_weights) = if self.average {
+            self.average(last)?
+        } else {
+            self.mapped_frames.pop_front()?
+        };
+        let frame = self.given;
+        self.given = frame.wrapping_add(1);
+        Some(ParameterFrame {
+            frame,
+            sample: frame
+                .wrapping_mul(HOP_SAMPLES as u32)
+                .wrapping_add(FRAME_SAMPLES as u32 / 2),
+            values,
+            viseme_weights,
+        })
+    }
+
+    /// Frame `given`, averaged: `mapped_frames` holds it and its successor, `before` its predecessor.
+    fn average(&mut self, last: bool) -> Option<Raw> {
+        if self.mapped_frames.len() < 2 && !last {
+            return None;
+        }
+        let (values, weights) = self.mapped_frames.pop_front()?;
+        let before = (self.given > 0).then_some(&self.before);
+        let after = self.mapped_frames.front().map(|f| &f.0);
+        let smooth = values
+            .iter()
+            .enumerate()
+            .map(|(d, &value)| {
+                let at = |frame: Option<&heapless::Vec<i16, MAX_PARAMETERS>>| {
+                    frame.and_then(|f| f.get(d)).map(|v| i32::from(*v))
+                };
+                mean(i32::from(value), at(before), at(after))
+            })
+            .collect();
+        self.before = values;
+        Some((smooth, weights))
+    }
+}
+
+/// Mean of a value and the neighbours that exist, rounded to nearest (halves up).
+fn mean(value: i32, before: Option<i32>, after: Option<i32>) -> i16 {
+    let sum = value + before.unwrap_or(0) + after.unwrap_or(0);
+    let mean = match (before, after) {
+        (None, None) => sum,
+        (Some(_), Some(_)) => (2 * sum + 3).div_euclid(6),
+        _ => (sum + 1) >> 1,
+    };
+    saturate_i16(mean)
+}
+
+/// Occupancies of the visemes from those of their states (Q0.16), 255 = 1.
+fn viseme_weights(occupancy: &[u32; N_VISUAL_STATES]) -> [u8; N_VISEMES] {
+    let mut weights = [0; N_VISEMES];
+    for (to, states) in weights.iter_mut().zip(occupancy.as_chunks::<N_EMITTING>().0) {
+        // At most 2¹⁶ + 5, times 255.
+        let sum: u32 = states.iter().sum();
+        *to = ((sum * 255 + (1 << 15)) >> 16).min(255) as u8;
+    }
+    weights
+}

@@ -1,0 +1,198 @@
+//! Fixed-lag smoothing: the last frames' tokens, and the occupancies of a frame given what came up to L frames later.
+//!
+//! γ_t(s) ∝ α_t(s)·β_t(s), with β_n = 1 at the newest frame n and β_t(s) = Σ P(s→s')·b_{t+1}(s')·β_{t+1}(s')
+//! below it: the exact backward pass over the window (X&L section 3.4 has it over the utterance). A token whose γ falls
+//! out of the beam on the way is dropped for good, so that the window thins out with age.
+use super::token::{PhonesByViseme, Scores, Token, backward};
+use crate::logmath::{LINEAR_FRACTION_BITS, LogProb, NEVER_I16};
+use crate::model::Model;
+use crate::model::field::{N_EMITTING, N_VISUAL_STATES, limit};
+
+/// Audio states of the largest model.
+pub const MAX_AUDIO_STATES: usize = N_EMITTING * limit::PHONES;
+
+/// One frame: its tokens, and the log likelihoods that went into them relative to the largest, Q7.8.
+#[derive(Clone, Debug)]
+pub struct Frame<const TOKENS: usize> {
+    pub tokens: heapless::Vec<Token, TOKENS>,
+    /// By audio state; [`NEVER_I16`] where nothing was active.
+    pub emission: [i16; MAX_AUDIO_STATES],
+}
+
+impl<const TOKENS: usize> Frame<TOKENS> {
+    const EMPTY: Self = Self {
+        tokens: heapless::Vec::new(),
+        emission: [NEVER_I16; MAX_AUDIO_STATES],
+    };
+
+    #[inline]
+    fn emission(&self, audio: usize) -> LogProb {
+        LogProb::from_score(self.emission.get(audio).copied().unwrap_or(NEVER_I16))
+    }
+}
+
+/// The last frames, `FRAMES` at most: a lag of `FRAMES` − 1 at most.
+#[derive(Clone, Debug)]
+pub struct Window<const TOKENS: usize, const FRAMES: usize> {
+    frames: [Frame<TOKENS>; FRAMES],
+    newest: usize,
+    length: usize,
+    /// β of the tokens of the frame that the backward pass has come to.
+    worth: [LogProb; TOKENS],
+}
+
+impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
+    pub const fn new() -> Self {
+        Self {
+            frames: [const { Frame::EMPTY }; FRAMES],
+            newest: 0,
+            length: 0,
+            worth: [LogProb::NEVER; TOKENS],
+        }
+    }
+
+    pub fn reset(&mut self) {
+        self.length = 0;
+        self.newest = 0;
+    }
+
+    /// Frames that are held.
+    pub fn len(&self) -> usize {
+        self.length
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
+    /// Tokens of the newest frame; none before the first.
+    pub fn newest(&self) -> &[Token] {
+        match self.frames.get(self.newest) {
+            Some(frame) if self.length > 0 => &frame.tokens,
+            _ => &[],
+        }
+    }
+
+    /// The place for the next frame, which takes that of the oldest when the window is full.
+    pub fn advance(&mut self) -> Option<&mut Frame<TOKENS>> {
+        if self.length > 0 {
+            self.newest = if self.newest + 1 == FRAMES {
+                0
+            } else {
+                self.newest + 1
+            };
+        }
+        self.length = (self.length + 1).min(FRAMES);
+        self.frames.get_mut(self.newest)
+    }
+
+    /// Occupancies of the visual states 5·viseme + j, `age` frames before the newest, Q0.16; their sum is 1 within
+    /// 65 LSB. `scores` must be clear and is clear again afterwards.
+    pub fn occupancies(
+        &mut self,
+        model: &Model,
+        phones: &PhonesByViseme,
+        beam: LogProb,
+        age: usize,
+        scores: &mut Scores,
+    ) -> [u32; N_VISUAL_STATES] {
+        let mut occupancy = [0; N_VISUAL_STATES];
+        let age = age.min(self.length.saturating_sub(1));
+        if self.length == 0 {
+            return occupancy;
+        }
+        self.worth.fill(LogProb::ONE);
+        for step in 1..=age {
+            let later = (self.newest + FRAMES + 1 - step) % FRAMES;
+            let earlier = (self.newest + FRAMES - step) % FRAMES;
+            let (Some(after), worth) = (self.frames.get(later), &mut self.worth) else {
+                return occupancy;
+            };
+            for (token, worth) in after.tokens.iter().zip(worth.iter()) {
+                scores.put(token.state, worth.times(after.emission(token.state.audio())));
+            }
+            if let Some(frame) = self.frames.get_mut(earlier) {
+                let mut best = LogProb::NEVER;
+                backward(model, phones, &frame.tokens, scores, |i, beta| {
+                    if let (Some(to), Some(token)) = (worth.get_mut(i), frame.tokens.get(i)) {
+                        *to = beta;
+                        best = best.max(beta.times(LogProb::from_score(token.score)));
+                    }
+                });
+                thin(frame, worth, best, beam);
+            }
+            scores.clear();
+        }
+        let oldest = (self.newest + FRAMES - age) % FRAMES;
+        if let Some(frame) = self.frames.get(oldest) {
+            add_up(model, frame, &self.worth, &mut occupancy);
+        }
+        occupancy
+    }
+}
+
+impl<const TOKENS: usize, const FRAMES: usize> Default for Window<TOKENS, FRAMES> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// Makes `best` the zero of β and drops the tokens that fall out of the beam. If the tokens lead nowhere at all (a
+/// beam that emptied), all of them stay, as if nothing were known of the future.
+fn thin<const TOKENS: usize>(
+    frame: &mut Frame<TOKENS>,
+    worth: &mut [LogProb; TOKENS],
+    best: LogProb,
+    beam: LogProb,
+) {
+    if best.is_never() {
+        worth.fill(LogProb::ONE);
+        return;
+    }
+    let mut kept = 0;
+    for i in 0..frame.tokens.len() {
+        let (Some(&token), Some(&beta)) = (frame.tokens.get(i), worth.get(i)) else {
+            break;
+        };
+        let beta = LogProb::from_q12(beta.q12().saturating_sub(best.q12()));
+        let gamma = beta.times(LogProb::from_score(token.score));
+        if gamma.is_never() || gamma.q12() < -beam.q12() {
+            continue;
+        }
+        if let (Some(to), Some(value)) = (frame.tokens.get_mut(kept), worth.get_mut(kept)) {
+            *to = token;
+            *value = beta;
+            kept += 1;
+        }
+    }
+    frame.tokens.truncate(kept);
+}
+
+/// Σ αβ by visual state, divided by the whole.
+fn add_up<const TOKENS: usize>(
+    model: &Model,
+    frame: &Frame<TOKENS>,
+    worth: &[LogProb; TOKENS],
+    occupancy: &mut [u32; N_VISUAL_STATES],
+) {
+    // β is relative to the best αβ: no term exceeds 1 by more than the rounding of a sum.
+    let mut total: u32 = 0;
+    for (token, beta) in frame.tokens.iter().zip(worth) {
+        let share = LogProb::from_score(token.score).times(*beta).exp2();
+        let visual = token.state.visual(model.viseme(token.state.phone()));
+        // At most 1872 terms of 2¹⁶: below 2²⁷.
+        total += share;
+        if let Some(sum) = occupancy.get_mut(visual) {
+            *sum += share;
+        }
+    }
+    // Divide by the total's upper 16 bits: relative error 2⁻¹⁵, and 32-bit divisions only.
+    let up = total.leading_zeros();
+    let divisor = total.checked_shl(up).unwrap_or(0) >> LINEAR_FRACTION_BITS;
+    for sum in occupancy.iter_mut() {
+        *sum = (*sum << up)
+            .checked_div(divisor)
+            .unwrap_or(0)
+            .min(1 << LINEAR_FRACTION_BITS);
+    }
+}
