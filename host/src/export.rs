@@ -31,12 +31,16 @@ pub struct ExportSettings {
     pub average: bool,
 }
 
-impl Default for ExportSettings {
-    fn default() -> Self {
+/// Width of the beam where nobody says otherwise, bits.
+pub const DEFAULT_BEAM_BITS: f64 = 16.0;
+
+impl ExportSettings {
+    /// What the model asks for.
+    pub fn of(model: &Model) -> Self {
         Self {
-            lag: 4,
-            beam_bits: 16.0,
-            acoustic_scale: 1.0,
+            lag: u16::try_from(model.following.lag).unwrap_or(u16::MAX),
+            beam_bits: DEFAULT_BEAM_BITS,
+            acoustic_scale: f64::from(model.following.acoustic_scale),
             average: true,
         }
     }

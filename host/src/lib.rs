@@ -20,5 +20,6 @@ pub mod mouth;
 pub mod phones;
 pub mod reference;
 pub mod render;
+pub mod synthetic;
 pub mod tensors;
 pub mod train;

@@ -9,6 +9,7 @@ pub mod dct;
 pub mod delta;
 pub mod energy;
 pub mod fft;
+pub mod hmm;
 pub mod log;
 pub mod mel;
 pub mod normalise;
