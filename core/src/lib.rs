@@ -11,6 +11,7 @@ pub mod hmm;
 pub mod logmath;
 pub mod model;
 pub mod parameters;
+pub mod stream;
 pub mod tables;
 pub mod wire;
 

@@ -63,18 +63,11 @@ pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
 
 impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES> {
     pub fn new(model: &'m Model<'m>, settings: Settings) -> Self {
-        Self {
+        let mut new = Self {
             model,
-            lag: settings
-                .lag
-                .map_or(model.lag(), usize::from)
-                .min(FRAMES.saturating_sub(1)),
-            average: settings.average.unwrap_or(model.average()),
-            follower: Follower::new(
-                model,
-                settings.beam.unwrap_or(model.beam()),
-                settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
-            ),
+            lag: 0,
+            average: false,
+            follower: Follower::new(model, LogProb::ONE, 0),
             history: History::new(),
             waiting: heapless::Deque::new(),
             gated: 0,
@@ -83,7 +76,22 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
             mapped_frames: heapless::Deque::new(),
             before: heapless::Vec::new(),
             ended: false,
-        }
+        };
+        new.set(settings);
+        new
+    }
+
+    /// Other settings; starts a new stream.
+    pub fn set(&mut self, settings: Settings) {
+        let model = self.model;
+        let lag = settings.lag.map_or(model.lag(), usize::from);
+        self.lag = lag.min(FRAMES.saturating_sub(1));
+        self.average = settings.average.unwrap_or(model.average());
+        self.follower.set(
+            settings.beam.unwrap_or(model.beam()),
+            settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
+        );
+        self.reset();
     }
 
     /// Forgets the stream; the next frame is frame 0.
@@ -131,6 +139,11 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         self.gate();
         self.map();
         self.give()
+    }
+
+    /// Whether the sound has ended.
+    pub fn has_ended(&self) -> bool {
+        self.ended
     }
 
     /// Whether the sound has ended and every frame has been given out.

@@ -30,13 +30,20 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
     pub fn new(model: &'m Model<'m>, beam: LogProb, acoustic_scale: u32) -> Self {
         Self {
             model,
-            beam: LogProb::from_q12(beam.q12().clamp(1, limit::BEAM)),
+            beam: held_beam(beam),
             acoustic_scale: acoustic_scale.min(limit::ACOUSTIC_SCALE),
             phones: PhonesByViseme::new(model),
             scores: Scores::new(),
             window: Window::new(),
             count: 0,
         }
+    }
+
+    /// Another beam and acoustic scale; starts a new stream.
+    pub fn set(&mut self, beam: LogProb, acoustic_scale: u32) {
+        self.beam = held_beam(beam);
+        self.acoustic_scale = acoustic_scale.min(limit::ACOUSTIC_SCALE);
+        self.reset();
     }
 
     /// Forgets the stream.
@@ -87,6 +94,10 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
+}
+
+fn held_beam(beam: LogProb) -> LogProb {
+    LogProb::from_q12(beam.q12().clamp(1, limit::BEAM))
 }
 
 /// Adds the log likelihood of `scaled` to every score, and leaves in `frame` those of the audio states that were asked

@@ -59,7 +59,9 @@ impl History {
         for (to, row) in x.iter_mut().zip(model.projection()) {
             // 416 products of 30 bits: below 2³⁹.
             let sum = dot(row.weights.iter(), &stack);
-            *to = saturate_i16(saturate_i32(round_shift_i64(sum, row.shift) - i64::from(row.offset)));
+            *to = saturate_i16(saturate_i32(
+                round_shift_i64(sum, row.shift) - i64::from(row.offset),
+            ));
         }
         x
     }
@@ -139,9 +141,7 @@ pub fn apply(model: &Model, x: &[i16; limit::INPUTS], gates: &Gates) -> heapless
     }
     sums.iter()
         .take(model.n_parameters())
-        .map(|sum| {
-            saturate_i16(saturate_i32(round_shift_i64(*sum, SUM_FRACTION_BITS)))
-        })
+        .map(|sum| saturate_i16(saturate_i32(round_shift_i64(*sum, SUM_FRACTION_BITS))))
         .collect()
 }
 
