@@ -2,7 +2,8 @@
 //! front ends. Every number asserted here stands in `docs/frontend.md`.
 mod common;
 
-use common::{features_fixed, snr_db, sounds};
+use common::{snr_db, sounds};
+use lipstream::frontend;
 use lipstream::reference::{self, Normalisation};
 use lipstream_core::N_CEPSTRA;
 
@@ -11,7 +12,7 @@ fn voice_is_accurate_at_every_level() {
     for (attenuation_db, least_db) in [(0, 55.0), (20, 50.0), (40, 40.0)] {
         let voice = common::quieter(&sounds::voice(3.0, 8000.0), f64::from(attenuation_db));
         let want = reference::statics(&voice);
-        let got = features_fixed(&voice, None);
+        let got = frontend::observations(&voice, Normalisation::None).mapv(f64::from);
         let cepstra = snr_db(&want, &got, 0..N_CEPSTRA);
         println!("−{attenuation_db} dB: {cepstra:.1} dB");
         assert!(cepstra >= least_db, "−{attenuation_db} dB: {cepstra:.1} dB");
@@ -23,7 +24,7 @@ fn voice_is_accurate_at_every_level() {
 fn difficult_sounds_stay_close() {
     for (name, samples, worst_cepstrum) in sounds::difficult() {
         let want = reference::statics(&samples);
-        let got = features_fixed(&samples, None);
+        let got = frontend::observations(&samples, Normalisation::None).mapv(f64::from);
         assert_eq!(want.nrows(), got.nrows(), "{name}");
         let mut worst = [0f64; 2];
         for t in 0..want.nrows() {
@@ -47,11 +48,7 @@ fn all_39_numbers_follow_the_twin() {
     ];
     for normalisation in [Normalisation::None, Normalisation::Causal { start_mean }] {
         let want = reference::observations(&voice, normalisation).mapv(f64::from);
-        let start = match normalisation {
-            Normalisation::None => None,
-            Normalisation::Causal { start_mean } => Some(start_mean),
-        };
-        let got = features_fixed(&voice, start);
+        let got = frontend::observations(&voice, normalisation).mapv(f64::from);
         assert_eq!(want.dim(), (got.nrows(), 39));
         for (name, columns, least_db) in [
             ("statics", 0..12, 50.0),

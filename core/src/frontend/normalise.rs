@@ -4,7 +4,8 @@
 //! e = max(E, 10)
 //! top    = e if e > top,       else top    + (e − top)/128
 //! bottom = e if e < bottom,    else bottom + (e − bottom)/64
-//! speech = top − bottom ≥ 2  and  2e > top + bottom
+//! stir   = stir + (min(|e − e of the frame before|, 1) − stir)/16
+//! speech = top − bottom ≥ 2  and  2e > top + bottom  and  stir ≥ 1/8
 //! mean   = mean + (s − mean)/256                  if speech
 //! output = s − mean
 //! ```
@@ -22,6 +23,12 @@ const LEAST_RANGE: i32 = 2 << 16;
 const TOP_SHIFT: u32 = 7;
 /// log₂ of the frames in which `bottom` rises to the present level, to 1/e.
 const BOTTOM_SHIFT: u32 = 6;
+/// log₂ of the frames over which the energy's changes are averaged.
+const STIR_SHIFT: u32 = 4;
+/// Largest change that counts in full, 1 nat, Q16.
+const MOST_STIR: i32 = 1 << 16;
+/// Least average change in speech, 1/8 nat a frame, Q16.
+const LEAST_STIR: i32 = 1 << 13;
 /// log₂ of the frames of speech over which the mean is taken.
 const MEAN_SHIFT: u32 = 8;
 /// From Q7.8 to the mean's Q7.20.
@@ -30,19 +37,40 @@ const MEAN_EXTRA: u32 = 12;
 /// Decides frame by frame which frames are speech.
 #[derive(Clone, Debug, Default)]
 struct Gate {
-    /// `(top, bottom)` in Q16; none before the first frame.
-    range: Option<(i32, i32)>,
+    /// None before the first frame.
+    levels: Option<Levels>,
+}
+
+/// What the gate remembers, Q16.
+#[derive(Clone, Copy, Debug)]
+struct Levels {
+    top: i32,
+    bottom: i32,
+    before: i32,
+    stir: i32,
 }
 
 impl Gate {
     /// Takes the next frame's E (Q7.8); true when the frame is speech.
     fn next(&mut self, energy: i16) -> bool {
         let e = (i32::from(energy) << 8).max(QUIET); // ≤ 2²³
-        let (top, bottom) = self.range.unwrap_or((e, e));
-        let top = e.max(top + ((e - top) >> TOP_SHIFT));
-        let bottom = e.min(bottom + ((e - bottom) >> BOTTOM_SHIFT));
-        self.range = Some((top, bottom));
-        top - bottom >= LEAST_RANGE && 2 * e > top + bottom
+        let last = self.levels.unwrap_or(Levels {
+            top: e,
+            bottom: e,
+            before: e,
+            stir: 0,
+        });
+        let top = e.max(last.top + ((e - last.top) >> TOP_SHIFT));
+        let bottom = e.min(last.bottom + ((e - last.bottom) >> BOTTOM_SHIFT));
+        let change = (e - last.before).abs().min(MOST_STIR);
+        let stir = last.stir + ((change - last.stir) >> STIR_SHIFT);
+        self.levels = Some(Levels {
+            top,
+            bottom,
+            before: e,
+            stir,
+        });
+        top - bottom >= LEAST_RANGE && 2 * e > top + bottom && stir >= LEAST_STIR
     }
 }
 

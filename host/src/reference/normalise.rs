@@ -1,21 +1,22 @@
 //! Causal normalisation: a recursive mean of the 13 statics over speech, taken off frame by frame.
 //!
 //! A frame counts as speech when its energy lies in the upper half of the range that the energy covered
-//! lately and that range is wide:
+//! lately, that range is wide, and the energy is stirring:
 //!
 //! ```text
 //! e = max(E, 10)                                  nothing quieter than about 7 LSB rms is heard
 //! top    = e if e > top,       else top    + (e − top)/128
 //! bottom = e if e < bottom,    else bottom + (e − bottom)/64
-//! speech = top − bottom ≥ 2  and  2e > top + bottom
+//! stir   = stir + (min(|e − e of the frame before|, 1) − stir)/16
+//! speech = top − bottom ≥ 2  and  2e > top + bottom  and  stir ≥ 1/8
 //! mean   = mean + (s − mean)/256                  if speech
 //! output = s − mean
 //! ```
 //!
 //! The gate is relative to what was heard in the last second or two, so it works at any level and opens again
-//! after a jump of the level in either direction. Silence, hum and steady noise cover no range: within a
-//! second `bottom` has risen to them, and the mean stands still. 256 frames of speech are about four seconds of
-//! talk. All constants are powers of two, so that the integer path computes the same rule.
+//! after a jump of the level in either direction. Silence, hum and steady noise do not stir, and within a second
+//! `bottom` has risen to them: the mean stands still. 256 frames of speech are about four seconds of talk. All
+//! constants are powers of two (or 10), so that the integer path computes the same rule.
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView2, Axis};
 
@@ -27,6 +28,12 @@ pub const LEAST_RANGE: f64 = 2.0;
 pub const TOP_FRAMES: f64 = 128.0;
 /// Frames in which `bottom` rises to e, to 1/e.
 pub const BOTTOM_FRAMES: f64 = 64.0;
+/// Frames over which the energy's changes are averaged.
+pub const STIR_FRAMES: f64 = 16.0;
+/// Largest change that counts in full, in nats: an onset alone does not open the gate.
+pub const MOST_STIR: f64 = 1.0;
+/// Least average change in speech, in nats a frame.
+pub const LEAST_STIR: f64 = 0.125;
 /// Frames of speech over which the mean is taken.
 pub const MEAN_FRAMES: f64 = 256.0;
 
@@ -42,19 +49,39 @@ pub enum Normalisation {
 /// Decides frame by frame which frames are speech.
 #[derive(Clone, Debug, Default)]
 pub struct Gate {
-    /// `(top, bottom)`; none before the first frame.
-    range: Option<(f64, f64)>,
+    /// None before the first frame.
+    levels: Option<Levels>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Levels {
+    top: f64,
+    bottom: f64,
+    before: f64,
+    stir: f64,
 }
 
 impl Gate {
     /// Takes the next frame's E; true when the frame is speech.
     pub fn next(&mut self, energy: f64) -> bool {
         let e = energy.max(QUIET);
-        let (top, bottom) = self.range.unwrap_or((e, e));
-        let top = e.max(top + (e - top) / TOP_FRAMES);
-        let bottom = e.min(bottom + (e - bottom) / BOTTOM_FRAMES);
-        self.range = Some((top, bottom));
-        top - bottom >= LEAST_RANGE && 2.0 * e > top + bottom
+        let last = self.levels.unwrap_or(Levels {
+            top: e,
+            bottom: e,
+            before: e,
+            stir: 0.0,
+        });
+        let top = e.max(last.top + (e - last.top) / TOP_FRAMES);
+        let bottom = e.min(last.bottom + (e - last.bottom) / BOTTOM_FRAMES);
+        let change = (e - last.before).abs().min(MOST_STIR);
+        let stir = last.stir + (change - last.stir) / STIR_FRAMES;
+        self.levels = Some(Levels {
+            top,
+            bottom,
+            before: e,
+            stir,
+        });
+        top - bottom >= LEAST_RANGE && 2.0 * e > top + bottom && stir >= LEAST_STIR
     }
 }
 

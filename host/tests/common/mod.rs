@@ -3,23 +3,16 @@
 
 use std::ops::Range;
 
-use lipstream_core::frontend::{Config, FrontEnd, Hop};
-use lipstream_core::{N_OBSERVATION, N_STATIC};
+use lipstream::frontend::config;
+use lipstream::reference::Normalisation;
+use lipstream_core::frontend::{FrontEnd, Hop};
 use ndarray::{Array2, s};
 
 pub(crate) mod sounds;
 
-/// A start mean in Q7.8.
-pub(crate) fn q8(mean: [f32; N_STATIC]) -> [i16; N_STATIC] {
-    mean.map(|m| (m * 256.0).round() as i16)
-}
-
 /// All hops that `samples` bring when they are pushed `piece` at a time.
-pub(crate) fn hops(samples: &[i16], start_mean: Option<[f32; N_STATIC]>, piece: usize) -> Vec<Hop> {
-    let mut frontend = FrontEnd::new(Config {
-        start_mean: q8(start_mean.unwrap_or([0.0; N_STATIC])),
-        normalise: start_mean.is_some(),
-    });
+pub(crate) fn hops(samples: &[i16], normalisation: Normalisation, piece: usize) -> Vec<Hop> {
+    let mut frontend = FrontEnd::new(config(normalisation));
     let mut out = Vec::new();
     for mut rest in samples.chunks(piece) {
         while !rest.is_empty() {
@@ -31,17 +24,6 @@ pub(crate) fn hops(samples: &[i16], start_mean: Option<[f32; N_STATIC]>, piece: 
     }
     out.extend(std::iter::from_fn(|| frontend.finish()));
     out
-}
-
-/// Observations of the integer front end in the reference's units, `[frames, 39]`.
-pub(crate) fn features_fixed(samples: &[i16], start_mean: Option<[f32; N_STATIC]>) -> Array2<f64> {
-    let rows: Vec<[i16; N_OBSERVATION]> = hops(samples, start_mean, samples.len().max(1))
-        .into_iter()
-        .filter_map(|hop| hop.observation)
-        .collect();
-    Array2::from_shape_fn((rows.len(), N_OBSERVATION), |(t, i)| {
-        f64::from(rows[t][i]) / 256.0
-    })
 }
 
 /// 10·log₁₀ of the power of `want` about its column means over the power of the difference, in the given columns.

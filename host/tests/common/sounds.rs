@@ -93,12 +93,12 @@ pub(crate) fn difficult() -> Vec<(&'static str, Vec<i16>, f64)> {
         (
             "full-scale square, 2 kHz",
             make(&|n| if n / 4 % 2 == 0 { i16::MAX } else { i16::MIN }),
-            0.5,
+            0.02,
         ),
         (
             "alternation, full scale",
             make(&|n| if n % 2 == 0 { i16::MAX } else { i16::MIN }),
-            0.5,
+            0.02,
         ),
         (
             "alternation of 1 LSB",
@@ -107,7 +107,7 @@ pub(crate) fn difficult() -> Vec<(&'static str, Vec<i16>, f64)> {
         ),
         ("impulse, full scale", impulse(i16::MIN), 0.05),
         ("impulse of 1 LSB", impulse(1), 0.05),
-        ("DC, full scale", make(&|_| i16::MIN), 0.5),
+        ("DC, full scale", make(&|_| i16::MIN), 0.02),
         ("DC of 1 LSB", make(&|_| 1), 0.05),
         ("hiss, full scale", hiss(0.5, 32767.0), 0.05),
         ("hiss of 1 LSB", hiss(0.5, 1.4), 0.05),
