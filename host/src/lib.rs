@@ -25,3 +25,4 @@ pub mod render;
 pub mod synthetic;
 pub mod tensors;
 pub mod train;
+pub mod video;

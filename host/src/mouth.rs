@@ -1,6 +1,6 @@
 //! The eigenmouth space (X&L section 5, eq. 12-13): mean mouth image, eigenmouths, and both ways through them.
 use anyhow::{Result, bail};
-use ndarray::{Array1, Array2, ArrayView1};
+use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 use crate::tensors::{Tensors, TensorsBuilder};
 
@@ -21,6 +21,30 @@ impl MouthSpace {
     /// Weights g = Ãᵀ(I − Ī) of one image (eq. 13).
     pub fn project(&self, image: ArrayView1<f32>) -> Array1<f32> {
         self.basis.dot(&(&image - &self.mean))
+    }
+
+    /// Weights of all images of a clip, `[n, D]`, from `[n, height, width, 3]` bytes.
+    ///
+    /// Without their mean over the clip (`remove_mean`, the default of `prepare`): what stays the same for a whole clip is light
+    /// and stubble, not speech, and [`MouthSpace::expand`] then puts the mouth on the speaker's own mean.
+    pub fn project_clip(&self, images: &[u8], remove_mean: bool) -> Result<Array2<f32>> {
+        let pixels = self.mean.len();
+        if pixels == 0 || !images.len().is_multiple_of(pixels) {
+            bail!(
+                "{} bytes are no mouth images of {}×{}",
+                images.len(),
+                self.width,
+                self.height
+            );
+        }
+        let mut rows = Array2::from_shape_fn((images.len() / pixels, pixels), |(n, p)| {
+            f32::from(images[n * pixels + p]) - self.mean[p]
+        })
+        .dot(&self.basis.t());
+        if remove_mean && let Some(mean) = rows.mean_axis(Axis(0)) {
+            rows -= &mean;
+        }
+        Ok(rows)
     }
 
     /// Image Ī + Ã g (eq. 12), not clipped to 0..255.
