@@ -7,6 +7,7 @@
 
 pub mod audio;
 pub mod cli;
+pub mod corpus;
 pub mod cues;
 pub mod evaluate;
 pub mod export;

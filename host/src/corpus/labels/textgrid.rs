@@ -1,0 +1,269 @@
+//! Praat TextGrids in text form. As Praat does, only free-standing numbers, quoted strings and `<flags>` are
+//! read and everything else is commentary: so the long and the short form are one format.
+use anyhow::{Context, Result, bail};
+
+use super::{Interval, Labels, phones_of, words_of};
+use crate::corpus::phoneset;
+
+#[derive(Debug, PartialEq)]
+enum Token {
+    Number(f64),
+    Text(String),
+    Flag(String),
+}
+
+/// A tier of intervals; tiers of points have none.
+#[derive(Debug, PartialEq)]
+pub(super) struct Tier {
+    pub(super) name: String,
+    pub(super) intervals: Vec<Interval>,
+}
+
+/// Free-standing tokens of `text`.
+fn tokens(text: &str) -> Result<Vec<Token>> {
+    let mut out = Vec::new();
+    let mut rest = text.trim_start();
+    while let Some(first) = rest.chars().next() {
+        if first == '"' {
+            let mut value = String::new();
+            rest = &rest[1..];
+            loop {
+                let quote = rest.find('"').context("a text without its closing quote")?;
+                value.push_str(&rest[..quote]);
+                rest = &rest[quote + 1..];
+                if !rest.starts_with('"') {
+                    break;
+                }
+                value.push('"');
+                rest = &rest[1..];
+            }
+            out.push(Token::Text(value));
+        } else if first == '!' {
+            rest = rest.find('\n').map_or("", |end| &rest[end..]);
+        } else {
+            let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
+            let word = &rest[..end];
+            if word.starts_with('<') && word.ends_with('>') {
+                out.push(Token::Flag(word.to_owned()));
+            } else if let Ok(number) = word.parse::<f64>() {
+                out.push(Token::Number(number));
+            }
+            rest = &rest[end..];
+        }
+        rest = rest.trim_start();
+    }
+    Ok(out)
+}
+
+struct Reader(std::vec::IntoIter<Token>);
+
+impl Reader {
+    fn text(&mut self, what: &str) -> Result<String> {
+        match self.0.next() {
+            Some(Token::Text(text)) => Ok(text),
+            Some(other) => bail!("expected {what} in quotes, found {other:?}"),
+            None => bail!("the TextGrid ends before {what}"),
+        }
+    }
+
+    fn number(&mut self, what: &str) -> Result<f64> {
+        match self.0.next() {
+            Some(Token::Number(number)) if number.is_finite() => Ok(number),
+            Some(other) => bail!("expected {what}, found {other:?}"),
+            None => bail!("the TextGrid ends before {what}"),
+        }
+    }
+
+    /// A count; it reserves nothing, so an absurd one ends as a file that is too short.
+    fn count(&mut self, what: &str) -> Result<u64> {
+        let number = self.number(what)?;
+        if number < 0.0 || number.fract() != 0.0 || number > 1e9 {
+            bail!("{what} is {number}");
+        }
+        Ok(number as u64)
+    }
+}
+
+/// All tiers of a TextGrid.
+pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
+    if text.starts_with("ooBinaryFile") {
+        bail!("a binary TextGrid: save it in Praat as a text file");
+    }
+    let mut reader = Reader(tokens(text)?.into_iter());
+    let kind = reader.text("the file type")?;
+    let class = if kind == "ooTextFile" {
+        reader.text("the object class")?
+    } else {
+        kind
+    };
+    if class != "TextGrid" {
+        bail!("a Praat file of class {class:?}, not a TextGrid");
+    }
+    reader.number("the start time")?;
+    reader.number("the end time")?;
+    match reader.0.next() {
+        Some(Token::Flag(flag)) if flag == "<exists>" => {}
+        Some(Token::Flag(_)) => return Ok(Vec::new()),
+        other => bail!("expected <exists>, found {other:?}"),
+    }
+    let mut tiers = Vec::new();
+    for _ in 0..reader.count("the number of tiers")? {
+        let class = reader.text("the class of a tier")?;
+        let name = reader.text("the name of a tier")?;
+        reader.number("the start time of a tier")?;
+        reader.number("the end time of a tier")?;
+        let size = reader.count("the size of a tier")?;
+        let mut intervals = Vec::new();
+        match class.as_str() {
+            "IntervalTier" => {
+                for _ in 0..size {
+                    let start = reader.number("the start of an interval")?;
+                    let end = reader.number("the end of an interval")?;
+                    let label = reader.text("the text of an interval")?;
+                    if end < start {
+                        bail!("tier {name:?}: an interval from {start} to {end}");
+                    }
+                    intervals.push(Interval { start, end, label });
+                }
+            }
+            "TextTier" => {
+                for _ in 0..size {
+                    reader.number("the time of a point")?;
+                    reader.text("the mark of a point")?;
+                }
+            }
+            other => bail!("a tier of class {other:?}"),
+        }
+        tiers.push(Tier { name, intervals });
+    }
+    Ok(tiers)
+}
+
+/// Words and phones of a TextGrid: from the tiers that are named so, else from what the labels look like.
+pub(super) fn labels(text: &str) -> Result<Labels> {
+    let tiers = tiers(text)?;
+    let used: Vec<&Tier> = tiers
+        .iter()
+        .filter(|t| t.intervals.iter().any(|i| !phoneset::is_silence(&i.label)))
+        .collect();
+    let named = |keys: &[&str]| {
+        used.iter().position(|t| {
+            let name = t.name.to_lowercase();
+            keys.iter().any(|k| name.contains(k))
+        })
+    };
+    let all_phones = |t: &Tier| t.intervals.iter().all(|i| phoneset::is_phone_label(&i.label));
+    let phones = named(&["phone", "segment", "mau"]).or_else(|| used.iter().position(|t| all_phones(t)));
+    let words = named(&["word", "ort"])
+        .or_else(|| (0..used.len()).find(|i| Some(*i) != phones && !all_phones(used[*i])));
+    Ok(Labels {
+        words: words.map_or(Vec::new(), |i| words_of(&used[i].intervals, false)),
+        phones: match phones {
+            Some(i) => phones_of(&used[i].intervals).with_context(|| format!("tier {:?}", used[i].name))?,
+            None => Vec::new(),
+        },
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LONG: &str = r#"File type = "ooTextFile"
+Object class = "TextGrid"
+
+xmin = 0
+xmax = 1.5
+tiers? <exists>
+size = 3
+item []:
+    item [1]:
+        class = "IntervalTier"
+        name = "words"
+        xmin = 0
+        xmax = 1.5
+        intervals: size = 3
+        intervals [1]:
+            xmin = 0
+            xmax = 0.5
+            text = ""
+        intervals [2]:
+            xmin = 0.5
+            xmax = 1.0
+            text = "say ""he"""
+        intervals [3]:
+            xmin = 1.0
+            xmax = 1.5
+            text = "bee"
+    item [2]:
+        class = "TextTier"
+        name = "clicks"
+        xmin = 0
+        xmax = 1.5
+        points: size = 1
+        points [1]:
+            number = 0.7
+            mark = "!"
+    item [3]:
+        class = "IntervalTier"
+        name = "phones"
+        xmin = 0
+        xmax = 1.5
+        intervals: size = 3
+        intervals [1]:
+            xmin = 0
+            xmax = 1.0
+            text = ""
+        intervals [2]:
+            xmin = 1.0
+            xmax = 1.2
+            text = "B"
+        intervals [3]:
+            xmin = 1.2
+            xmax = 1.5
+            text = "IY1"
+"#;
+
+    const SHORT: &str = "File type = \"ooTextFile\"\nObject class = \"TextGrid\"\n\n0\n1.5\n<exists>\n3\n\
+        \"IntervalTier\"\n\"words\"\n0\n1.5\n3\n0\n0.5\n\"\"\n0.5\n1.0\n\"say \"\"he\"\"\"\n1.0\n1.5\n\"bee\"\n\
+        \"TextTier\"\n\"clicks\"\n0\n1.5\n1\n0.7\n\"!\"\n\
+        \"IntervalTier\"\n\"phones\"\n0\n1.5\n3\n0\n1.0\n\"\"\n1.0\n1.2\n\"B\"\n1.2\n1.5\n\"IY1\"\n";
+
+    #[test]
+    fn long_and_short_forms_are_the_same() {
+        let long = tiers(LONG).unwrap();
+        assert_eq!(long, tiers(SHORT).unwrap());
+        assert_eq!(long.len(), 3);
+        assert_eq!(long[0].intervals[1].label, "say \"he\"");
+        let labels = labels(LONG).unwrap();
+        let words: Vec<_> = labels.words.iter().map(|w| (w.text.as_str(), w.time)).collect();
+        assert_eq!(words, [("say", None), ("he", None), ("bee", Some((1.0, 1.5)))]);
+        let phones: Vec<_> = labels.phones.iter().map(|p| p.2.name()).collect();
+        assert_eq!(phones, ["sil", "b", "iy"]);
+    }
+
+    #[test]
+    fn tiers_without_telling_names_are_told_by_their_labels() {
+        let text = SHORT.replace("\"words\"", "\"A\"").replace("\"phones\"", "\"B\"");
+        assert_eq!(labels(&text).unwrap(), labels(SHORT).unwrap());
+    }
+
+    #[test]
+    fn damaged_files_are_refused_in_one_line() {
+        for text in [
+            "",
+            "File type = \"ooTextFile\"\nObject class = \"Pitch 1\"\n0 1 <exists> 0",
+            &SHORT[..SHORT.len() - 10],
+            &SHORT.replace("<exists>\n3\n", "<exists>\n4000000\n"),
+            &SHORT.replace("<exists>\n3\n", "<exists>\n-1\n"),
+            &SHORT.replace("0.5\n1.0\n", "1.0\n0.5\n"),
+            &SHORT.replace("IntervalTier", "PitchTier"),
+            "ooBinaryFile\u{8}TextGrid",
+        ] {
+            let error = format!("{:#}", labels(text).unwrap_err());
+            assert!(!error.contains('\n'), "{error}");
+        }
+        let unknown = labels(&SHORT.replace("IY1", "Q9")).unwrap_err();
+        assert!(format!("{unknown:#}").contains("q9"), "{unknown:#}");
+    }
+}

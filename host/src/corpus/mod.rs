@@ -1,0 +1,10 @@
+//! Corpora: finding clips, reading their labels, pronouncing their words, and `prepare`, which turns them into a
+//! feature folder.
+pub mod discover;
+pub mod labels;
+pub mod phoneset;
+pub mod prepare;
+pub mod pronounce;
+mod stamp;
+
+pub use prepare::{Settings, Summary, Watch, prepare};

@@ -1,0 +1,497 @@
+//! `prepare`: a corpus to a feature folder (features.rs), clip by clip on all cores.
+//!
+//! Passes: sound, labels and the speech mean; audio observations, which start from that mean; mouth images;
+//! the eigenmouths of the training clips; their weights in every clip. No pass holds more than a few clips in
+//! memory. What a pass has made is kept with a note of its inputs (stamp.rs), so that a second run continues.
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::discover::{self, Found, Source, SplitBy};
+use super::labels::{self, Labels, SpokenWord, transcript};
+use super::pronounce::{self, Pronouncer};
+use super::stamp::{self, Notes};
+use crate::features::{
+    self, Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word,
+};
+use crate::phones::Phone;
+use crate::reference::{self, Normalisation, SpeechMean};
+use crate::{audio, files};
+
+/// Shorter sounds (s) are no utterances: nothing would be left between the edges of Δ and ΔΔ.
+const SHORTEST_S: f64 = 0.15;
+
+/// Clips in memory at once, for each thread.
+const CLIPS_PER_THREAD: usize = 4;
+
+/// What to prepare and how.
+#[derive(Clone, Debug, Default)]
+pub struct Settings {
+    pub corpus: PathBuf,
+    pub out: PathBuf,
+    pub clips: discover::Options,
+    /// The user's pronunciations, in CMUdict's text format.
+    pub dictionary: Option<PathBuf>,
+    /// Leaves the pictures of videos alone.
+    pub audio_only: bool,
+}
+
+/// Who is told how the work goes on.
+pub trait Watch: Sync {
+    /// A pass of `steps` steps begins.
+    fn begin(&self, what: &str, steps: usize);
+    fn step(&self);
+    /// Something that the user must hear now, such as a clip that cannot be read.
+    fn say(&self, line: &str);
+    /// The pass is over.
+    fn end(&self);
+}
+
+/// Nobody.
+impl Watch for () {
+    fn begin(&self, _: &str, _: usize) {}
+    fn step(&self) {}
+    fn say(&self, _: &str) {}
+    fn end(&self) {}
+}
+
+/// Clips, hours and speakers of one split.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct SplitSummary {
+    pub clips: usize,
+    pub with_video: usize,
+    pub speakers: usize,
+    pub seconds: f64,
+    pub words: usize,
+}
+
+/// What came out.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    pub corpus: String,
+    pub folder: String,
+    /// Where the split came from.
+    pub split_by: String,
+    pub train: SplitSummary,
+    pub val: SplitSummary,
+    pub test: SplitSummary,
+    /// Numbers in a visual frame; 0 without video.
+    pub visual_size: usize,
+    /// Clips without any label.
+    pub unlabelled: usize,
+    /// Clips whose sentence was read from their GRID file name.
+    pub named_sentences: usize,
+    /// Different words, by where their pronunciation came from.
+    pub words_from_user_dictionary: usize,
+    pub words_from_dictionary: usize,
+    pub words_inflected: usize,
+    /// Words that no dictionary has, spoken by rule.
+    pub words_by_rule: Vec<String>,
+    /// Phones of X&L table 1 in the training clips, with how often they occur, and those that do not occur.
+    pub phones: BTreeMap<String, usize>,
+    pub phones_missing: Vec<String>,
+    /// Files of the corpus that belong to no clip.
+    pub left_alone: Vec<String>,
+    pub skipped: Vec<Skipped>,
+    pub seconds_taken: f64,
+}
+
+/// A clip on its way: its manifest entry and where its pronunciations came from.
+pub(super) struct Prepared {
+    pub(super) source: Source,
+    pub(super) clip: Clip,
+    words: BTreeMap<String, pronounce::Source>,
+    named_sentence: bool,
+    seconds: f64,
+    sound_stamp: String,
+}
+
+/// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
+pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
+    let began = std::time::Instant::now();
+    let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
+    let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
+    claim(&settings.out)?;
+
+    let mut skipped = Vec::new();
+    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, watch, &mut skipped)?;
+    observe(&clips, &settings.out, start_mean, watch)?;
+    let visual_size = 0;
+
+    clips.sort_by(|a, b| a.clip.id.cmp(&b.clip.id));
+    let manifest = Manifest {
+        version: MANIFEST_VERSION,
+        corpus: settings.corpus.display().to_string(),
+        start_mean: start_mean.to_vec(),
+        visual_size,
+        clips: clips.iter().map(|c| c.clip.clone()).collect(),
+        skipped,
+    };
+    manifest
+        .check()
+        .context("the manifest that was made is unsound")?;
+    sweep(&settings.out, &manifest)?;
+    let text = serde_json::to_vec_pretty(&manifest)?;
+    files::write_bytes(&settings.out.join("manifest.json"), &text)?;
+    let mut summary = summarise(settings, &found, &clips, manifest);
+    summary.seconds_taken = began.elapsed().as_secs_f64();
+    Ok(summary)
+}
+
+/// Makes the output folder ours: it is empty, or was prepared before. Its manifest goes until the end.
+fn claim(out: &Path) -> Result<()> {
+    if out.is_dir() {
+        let occupied = std::fs::read_dir(out)
+            .with_context(|| format!("cannot read {}", out.display()))?
+            .next()
+            .is_some();
+        if occupied && !out.join("manifest.json").is_file() && !out.join("cache").is_dir() {
+            bail!(
+                "{} is not empty and no feature folder; give a new folder",
+                out.display()
+            );
+        }
+    }
+    std::fs::create_dir_all(out.join("cache")).with_context(|| format!("cannot make {}", out.display()))?;
+    match std::fs::remove_file(out.join("manifest.json")) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(e).with_context(|| format!("cannot replace {}", out.join("manifest.json").display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// One line of an error, for the manifest and the user's terminal.
+pub(super) fn reason(error: &anyhow::Error) -> String {
+    format!("{error:#}").lines().collect::<Vec<_>>().join("; ")
+}
+
+/// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
+fn listen(
+    found: &Found,
+    settings: &Settings,
+    pronouncer: &Pronouncer,
+    watch: &dyn Watch,
+    skipped: &mut Vec<Skipped>,
+) -> Result<(Vec<Prepared>, [f32; lipstream_core::N_STATIC])> {
+    let (mut train, mut others) = (SpeechMean::default(), SpeechMean::default());
+    let mut clips = Vec::with_capacity(found.clips.len());
+    watch.begin("sound and labels", found.clips.len());
+    for some in found
+        .clips
+        .chunks(CLIPS_PER_THREAD * rayon::current_num_threads())
+    {
+        let read: Vec<_> = some
+            .par_iter()
+            .map(|source| {
+                let result = listen_to(source, &settings.out, pronouncer);
+                if let Err(error) = &result {
+                    watch.say(&format!(
+                        "skipped {}: {}",
+                        source.sound_path().display(),
+                        reason(error)
+                    ));
+                }
+                watch.step();
+                result
+            })
+            .collect();
+        // In the order of the clips, so that the mean is the same whatever the number of threads.
+        for (source, result) in some.iter().zip(read) {
+            match result {
+                Ok((clip, statics)) => {
+                    let mean = if source.split == Split::Train {
+                        &mut train
+                    } else {
+                        &mut others
+                    };
+                    mean.add(statics.view());
+                    clips.push(clip);
+                }
+                Err(error) => skipped.push(Skipped {
+                    path: source.sound_path().display().to_string(),
+                    reason: reason(&error),
+                }),
+            }
+        }
+    }
+    watch.end();
+    if clips.is_empty() {
+        bail!(
+            "none of the {} clips in {} can be read (the first: {})",
+            found.clips.len(),
+            settings.corpus.display(),
+            skipped.first().map_or("", |s| s.reason.as_str())
+        );
+    }
+    let mean = train.mean().or(others.mean()).with_context(|| {
+        format!(
+            "no speech is heard in the {} clips: all of them are silent or steady noise",
+            clips.len()
+        )
+    })?;
+    Ok((clips, mean))
+}
+
+fn listen_to(
+    source: &Source,
+    out: &Path,
+    pronouncer: &Pronouncer,
+) -> Result<(Prepared, ndarray::Array2<f64>)> {
+    let sound_stamp = stamp::of_file(source.sound_path())?;
+    let samples = sound(source, out, &sound_stamp)?;
+    let seconds = samples.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
+    if seconds < SHORTEST_S {
+        bail!("{seconds:.3} s of sound are too short");
+    }
+    let mut labels = labels::read(&source.labels, seconds)?;
+    let named_sentence = labels == Labels::default() && source.labels.is_empty();
+    let named = named_sentence
+        .then(|| transcript::of_grid_name(&source.stem))
+        .flatten();
+    let named_sentence = named.is_some();
+    if let Some(words) = named {
+        labels.words = words;
+    }
+    let mut from = BTreeMap::new();
+    let words = labels
+        .words
+        .iter()
+        .map(|word| spoken(word, pronouncer, &mut from))
+        .collect::<Result<_>>()?;
+    let phones = labels.phones.iter().map(|(start, end, phone)| PhoneLabel {
+        phone: phone.name().to_owned(),
+        start: *start as f32,
+        end: *end as f32,
+    });
+    let statics = reference::statics(&samples);
+    let clip = Clip {
+        id: source.id.clone(),
+        speaker: source.speaker.clone(),
+        split: source.split,
+        audio_frames: statics.nrows(),
+        video_frames: 0,
+        video_hz: 0.0,
+        words,
+        phones: phones.filter(|p| p.end > p.start).collect(),
+    };
+    let prepared = Prepared {
+        source: source.clone(),
+        clip,
+        words: from,
+        named_sentence,
+        seconds,
+        sound_stamp,
+    };
+    Ok((prepared, statics))
+}
+
+/// A word with its pronunciations; `from` learns where they came from.
+fn spoken(
+    word: &SpokenWord,
+    pronouncer: &Pronouncer,
+    from: &mut BTreeMap<String, pronounce::Source>,
+) -> Result<Word> {
+    let (pronunciations, source) = pronouncer.word(word)?;
+    from.insert(word.text.clone(), source);
+    let names = |phones: &Vec<Phone>| phones.iter().map(|p| p.name().to_owned()).collect();
+    Ok(Word {
+        text: word.text.clone(),
+        pronunciations: pronunciations.iter().map(names).collect(),
+        time: word
+            .time
+            .map(|(start, end)| (start as f32, end as f32))
+            .filter(|(start, end)| start < end),
+    })
+}
+
+/// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.
+fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
+    let path = out.join("wav").join(format!("{}.wav", source.id));
+    let notes = Notes::new(out, &source.id);
+    if notes.vouch("sound", sound_stamp, &path) {
+        return Ok(audio::read(&path)?.samples);
+    }
+    notes.forget("sound");
+    let from = source.sound_path();
+    let is_wav = from.extension().is_some_and(|e| e.eq_ignore_ascii_case("wav"));
+    let samples = if is_wav {
+        audio::read(from)?.samples
+    } else {
+        bail!("{} is no WAV file", from.display())
+    };
+    write_wav(&path, &samples)?;
+    notes.note("sound", sound_stamp)?;
+    Ok(samples)
+}
+
+/// 16 kHz mono i16.
+fn write_wav(path: &Path, samples: &[i16]) -> Result<()> {
+    let spec = hound::WavSpec {
+        channels: 1,
+        sample_rate: lipstream_core::SAMPLE_RATE_HZ,
+        bits_per_sample: 16,
+        sample_format: hound::SampleFormat::Int,
+    };
+    let mut bytes = std::io::Cursor::new(Vec::with_capacity(samples.len() * 2 + 64));
+    let mut writer = hound::WavWriter::new(&mut bytes, spec)?;
+    for sample in samples {
+        writer.write_sample(*sample)?;
+    }
+    writer.finalize()?;
+    files::write_bytes(path, bytes.get_ref())
+}
+
+/// Second pass: audio observations from `wav/` to `audio/`.
+fn observe(
+    clips: &[Prepared],
+    out: &Path,
+    start_mean: [f32; lipstream_core::N_STATIC],
+    watch: &dyn Watch,
+) -> Result<()> {
+    watch.begin("audio features", clips.len());
+    let mean: Vec<String> = start_mean
+        .iter()
+        .map(|v| format!("{:08x}", v.to_bits()))
+        .collect();
+    let normalisation = Normalisation::Causal { start_mean };
+    clips.par_iter().try_for_each(|prepared| {
+        observe_one(prepared, out, &mean.concat(), normalisation)
+            .with_context(|| format!("audio features of {}", prepared.source.sound_path().display()))?;
+        watch.step();
+        Ok::<(), anyhow::Error>(())
+    })?;
+    watch.end();
+    Ok(())
+}
+
+fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Normalisation) -> Result<()> {
+    let id = &prepared.clip.id;
+    let path = out.join("audio").join(format!("{id}.npy"));
+    let stamp = format!("{} {mean}", prepared.sound_stamp);
+    let notes = Notes::new(out, id);
+    if notes.vouch("audio", &stamp, &path) {
+        return Ok(());
+    }
+    notes.forget("audio");
+    let samples = audio::read(&out.join("wav").join(format!("{id}.wav")))?.samples;
+    features::write_npy(&path, &reference::observations(&samples, normalisation))?;
+    notes.note("audio", &stamp)
+}
+
+/// Removes what earlier runs made for clips that are no longer there.
+fn sweep(out: &Path, manifest: &Manifest) -> Result<()> {
+    let ids: BTreeSet<&str> = manifest.clips.iter().map(|c| c.id.as_str()).collect();
+    let seen: BTreeSet<&str> = manifest
+        .clips
+        .iter()
+        .filter(|c| c.video_frames > 0)
+        .map(|c| c.id.as_str())
+        .collect();
+    for (folder, extensions, keep) in [
+        ("wav", &["wav"][..], &ids),
+        ("audio", &["npy"], &ids),
+        ("visual", &["npy"], &seen),
+        ("mouths", &["npy"], &seen),
+        ("cache", &["sound", "audio", "mouths", "visual"], &ids),
+    ] {
+        let Ok(entries) = std::fs::read_dir(out.join(folder)) else {
+            continue;
+        };
+        for entry in entries {
+            let path = entry?.path();
+            let ours = path
+                .extension()
+                .and_then(|e| e.to_str())
+                .is_some_and(|e| extensions.contains(&e));
+            let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
+            if ours && !keep.contains(stem) {
+                std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+    }
+    let mouth = FeatureFolder {
+        root: out.to_owned(),
+        manifest: manifest.clone(),
+    }
+    .mouth_path();
+    if manifest.visual_size == 0 && mouth.is_file() {
+        std::fs::remove_file(&mouth).with_context(|| format!("cannot remove {}", mouth.display()))?;
+    }
+    Ok(())
+}
+
+fn summarise(settings: &Settings, found: &Found, clips: &[Prepared], manifest: Manifest) -> Summary {
+    let split = |split: Split| {
+        let of: Vec<&Prepared> = clips.iter().filter(|c| c.clip.split == split).collect();
+        SplitSummary {
+            clips: of.len(),
+            with_video: of.iter().filter(|c| c.clip.video_frames > 0).count(),
+            speakers: of.iter().map(|c| &c.clip.speaker).collect::<BTreeSet<_>>().len(),
+            seconds: of.iter().fold(0.0, |sum, c| sum + c.seconds),
+            words: of.iter().map(|c| c.clip.words.len()).sum(),
+        }
+    };
+    let mut words: BTreeMap<&str, pronounce::Source> = BTreeMap::new();
+    let mut phones: BTreeMap<String, usize> = BTreeMap::new();
+    for prepared in clips {
+        words.extend(prepared.words.iter().map(|(w, s)| (w.as_str(), *s)));
+        if prepared.clip.split == Split::Train {
+            for phone in phones_of(&prepared.clip) {
+                *phones.entry(phone.to_owned()).or_default() += 1;
+            }
+        }
+    }
+    let from = |source| words.iter().filter(move |(_, s)| **s == source);
+    Summary {
+        corpus: manifest.corpus,
+        folder: settings.out.display().to_string(),
+        split_by: match found.split_by {
+            SplitBy::Folders => "folders",
+            SplitBy::Options => "options",
+            SplitBy::Speaker => "speaker",
+            SplitBy::Clip => "clip",
+            SplitBy::AllTrain => "all for training",
+        }
+        .into(),
+        train: split(Split::Train),
+        val: split(Split::Val),
+        test: split(Split::Test),
+        visual_size: manifest.visual_size,
+        unlabelled: clips
+            .iter()
+            .filter(|c| c.clip.words.is_empty() && c.clip.phones.is_empty())
+            .count(),
+        named_sentences: clips.iter().filter(|c| c.named_sentence).count(),
+        words_from_user_dictionary: from(pronounce::Source::User).count(),
+        words_from_dictionary: from(pronounce::Source::Dictionary).count(),
+        words_inflected: from(pronounce::Source::Inflected).count(),
+        words_by_rule: from(pronounce::Source::Letters)
+            .map(|(w, _)| (*w).to_owned())
+            .collect(),
+        phones_missing: Phone::all()
+            .map(|p| p.name().to_owned())
+            .filter(|p| !phones.contains_key(p))
+            .collect(),
+        phones,
+        left_alone: found.left_alone.iter().map(|p| p.display().to_string()).collect(),
+        skipped: manifest.skipped,
+        seconds_taken: 0.0,
+    }
+}
+
+/// The phones of a clip: as labelled, else of the words' usual pronunciations between silences.
+fn phones_of(clip: &Clip) -> Vec<&str> {
+    if !clip.phones.is_empty() {
+        return clip.phones.iter().map(|p| p.phone.as_str()).collect();
+    }
+    let words = clip.words.iter().filter_map(|w| w.pronunciations.first());
+    let spoken = words.flatten().map(String::as_str);
+    match clip.words.is_empty() {
+        true => Vec::new(),
+        false => std::iter::once("sil").chain(spoken).chain(["sil"]).collect(),
+    }
+}
