@@ -174,7 +174,7 @@ pub fn of_grid_name(stem: &str) -> Option<Vec<SpokenWord>> {
     let pick = |table: &[(u8, &'static str)], key: u8| table.iter().find(|(k, _)| *k == key).map(|(_, w)| *w);
     let letter = std::str::from_utf8(&code[3..4])
         .ok()
-        .filter(|l| matches!(code[3], b'a'..=b'z') && *l != "w")?;
+        .filter(|l| code[3].is_ascii_lowercase() && *l != "w")?;
     let words = [
         pick(
             &[(b'b', "bin"), (b'l', "lay"), (b'p', "place"), (b's', "set")],
