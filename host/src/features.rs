@@ -3,7 +3,8 @@
 //! ```text
 //! DIR/manifest.json          Manifest
 //! DIR/audio/ID.npy           f32 [frames, 39]  MFCC_E_D_A at 100 Hz, causally normalised
-//! DIR/visual/ID.npy          f32 [video frames, D]  eigenmouth weights at the video's own rate
+//! DIR/visual/ID.npy          f32 [video frames, D]  eigenmouth weights at the video's own rate, without their mean
+//!                            over the clip (unless `--keep-clip-mean`): what stays for a whole clip is no speech
 //! DIR/wav/ID.wav             16 kHz mono i16, the very samples that the features were computed from
 //! DIR/mouths/ID.npy          u8 [video frames, height, width, 3]  the mouth images behind the weights, RGB
 //! DIR/mouth.safetensors      the eigenmouth space (absent in an audio-only folder)

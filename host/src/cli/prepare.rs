@@ -42,6 +42,15 @@ pub(crate) struct Args {
     /// Leave the pictures of videos alone
     #[arg(long)]
     audio_only: bool,
+    /// Eigenmouths to keep
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    eigenmouths: u16,
+    /// Leave each clip's mean in its mouth weights
+    #[arg(long)]
+    keep_clip_mean: bool,
+    /// Use nothing of an earlier run in the same folder
+    #[arg(long)]
+    fresh: bool,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -99,6 +108,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
         dictionary: args.dictionary,
         audio_only: args.audio_only,
+        eigenmouths: args.eigenmouths.into(),
+        keep_clip_mean: args.keep_clip_mean,
+        fresh: args.fresh,
     };
     let summary = corpus::prepare(&settings, &Bar::default())?;
     if args.json {

@@ -6,5 +6,6 @@ pub mod phoneset;
 pub mod prepare;
 pub mod pronounce;
 mod stamp;
+mod visual;
 
 pub use prepare::{Settings, Summary, Watch, prepare};

@@ -14,6 +14,7 @@ use super::discover::{self, Found, Source, SplitBy};
 use super::labels::{self, Labels, SpokenWord, transcript};
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
+use super::visual;
 use crate::features::{
     self, Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word,
 };
@@ -28,7 +29,7 @@ const SHORTEST_S: f64 = 0.15;
 const CLIPS_PER_THREAD: usize = 4;
 
 /// What to prepare and how.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Settings {
     pub corpus: PathBuf,
     pub out: PathBuf,
@@ -37,6 +38,27 @@ pub struct Settings {
     pub dictionary: Option<PathBuf>,
     /// Leaves the pictures of videos alone.
     pub audio_only: bool,
+    /// Eigenmouths to keep; fewer where there are not as many different images.
+    pub eigenmouths: usize,
+    /// Leaves each clip's mean in its weights: what a speaker looks like all through a clip.
+    pub keep_clip_mean: bool,
+    /// Nothing of an earlier run is used.
+    pub fresh: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            corpus: PathBuf::new(),
+            out: PathBuf::new(),
+            clips: discover::Options::default(),
+            dictionary: None,
+            audio_only: false,
+            eigenmouths: 30,
+            keep_clip_mean: false,
+            fresh: false,
+        }
+    }
 }
 
 /// Who is told how the work goes on.
@@ -105,7 +127,7 @@ pub(super) struct Prepared {
     pub(super) clip: Clip,
     words: BTreeMap<String, pronounce::Source>,
     named_sentence: bool,
-    seconds: f64,
+    pub(super) seconds: f64,
     sound_stamp: String,
 }
 
@@ -114,12 +136,16 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
-    claim(&settings.out)?;
+    claim(&settings.out, settings.fresh)?;
 
     let mut skipped = Vec::new();
     let (mut clips, start_mean) = listen(&found, settings, &pronouncer, watch, &mut skipped)?;
     observe(&clips, &settings.out, start_mean, watch)?;
-    let visual_size = 0;
+    let visual_size = if settings.audio_only {
+        0
+    } else {
+        visual::see(&mut clips, settings, watch, &mut skipped)?
+    };
 
     clips.sort_by(|a, b| a.clip.id.cmp(&b.clip.id));
     let manifest = Manifest {
@@ -142,7 +168,7 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
 }
 
 /// Makes the output folder ours: it is empty, or was prepared before. Its manifest goes until the end.
-fn claim(out: &Path) -> Result<()> {
+fn claim(out: &Path, fresh: bool) -> Result<()> {
     if out.is_dir() {
         let occupied = std::fs::read_dir(out)
             .with_context(|| format!("cannot read {}", out.display()))?
@@ -155,7 +181,11 @@ fn claim(out: &Path) -> Result<()> {
             );
         }
     }
-    std::fs::create_dir_all(out.join("cache")).with_context(|| format!("cannot make {}", out.display()))?;
+    let cache = out.join("cache");
+    if fresh && cache.is_dir() {
+        std::fs::remove_dir_all(&cache).with_context(|| format!("cannot remove {}", cache.display()))?;
+    }
+    std::fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", out.display()))?;
     match std::fs::remove_file(out.join("manifest.json")) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
             Err(e).with_context(|| format!("cannot replace {}", out.join("manifest.json").display()))
@@ -312,7 +342,7 @@ fn spoken(
 fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let path = out.join("wav").join(format!("{}.wav", source.id));
     let notes = Notes::new(out, &source.id);
-    if notes.vouch("sound", sound_stamp, &path) {
+    if notes.vouched("sound", sound_stamp, &path).is_some() {
         return Ok(audio::read(&path)?.samples);
     }
     notes.forget("sound");
@@ -321,7 +351,7 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let samples = if is_wav {
         audio::read(from)?.samples
     } else {
-        bail!("{} is no WAV file", from.display())
+        audio::decode(&crate::video::decode_sound(from)?)?.samples
     };
     write_wav(&path, &samples)?;
     notes.note("sound", sound_stamp)?;
@@ -373,7 +403,7 @@ fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Norma
     let path = out.join("audio").join(format!("{id}.npy"));
     let stamp = format!("{} {mean}", prepared.sound_stamp);
     let notes = Notes::new(out, id);
-    if notes.vouch("audio", &stamp, &path) {
+    if notes.vouched("audio", &stamp, &path).is_some() {
         return Ok(());
     }
     notes.forget("audio");

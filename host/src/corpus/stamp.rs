@@ -23,6 +23,13 @@ pub(super) fn of_file(path: &Path) -> Result<String> {
     Ok(format!("{} {} {modified}", path.display(), meta.len()))
 }
 
+/// FNV-1a: long lists of stamps in one short word.
+pub(super) fn digest(text: &str) -> u64 {
+    text.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| {
+        (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
+    })
+}
+
 /// The notes of one clip.
 pub(super) struct Notes {
     folder: PathBuf,
@@ -41,14 +48,14 @@ impl Notes {
         self.folder.join(format!("{}.{kind}", self.id))
     }
 
-    fn line(stamp: &str) -> String {
-        format!("{VERSION} {stamp}\n")
-    }
-
-    /// True if `product` is there and was made from what `stamp` says.
-    pub(super) fn vouch(&self, kind: &str, stamp: &str, product: &Path) -> bool {
-        product.is_file()
-            && std::fs::read_to_string(self.path(kind)).is_ok_and(|noted| noted == Self::line(stamp))
+    /// What was noted about `product`, if it is there and was made from what `stamp` says.
+    pub(super) fn vouched(&self, kind: &str, stamp: &str, product: &Path) -> Option<String> {
+        if !product.is_file() {
+            return None;
+        }
+        let noted = std::fs::read_to_string(self.path(kind)).ok()?;
+        let rest = noted.strip_prefix(&format!("{VERSION} {stamp}\n"))?;
+        Some(rest.trim_end().to_owned())
     }
 
     /// Takes the note back, before its product changes.
@@ -59,7 +66,12 @@ impl Notes {
 
     /// Notes that the product was made from what `stamp` says.
     pub(super) fn note(&self, kind: &str, stamp: &str) -> Result<()> {
-        files::write_bytes(&self.path(kind), Self::line(stamp).as_bytes())
+        self.note_with(kind, stamp, "")
+    }
+
+    /// [`Notes::note`] with something about the product to remember.
+    pub(super) fn note_with(&self, kind: &str, stamp: &str, about: &str) -> Result<()> {
+        files::write_bytes(&self.path(kind), format!("{VERSION} {stamp}\n{about}").as_bytes())
     }
 }
 
@@ -72,15 +84,17 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let product = folder.path().join("a.npy");
         let notes = Notes::new(folder.path(), "a");
-        assert!(!notes.vouch("audio", "x", &product));
+        let vouch = |kind: &str, stamp: &str| notes.vouched(kind, stamp, &product).is_some();
+        assert!(!vouch("audio", "x"));
         notes.note("audio", "x").unwrap();
-        assert!(!notes.vouch("audio", "x", &product), "the product is missing");
+        assert!(!vouch("audio", "x"), "the product is missing");
         std::fs::write(&product, b"1").unwrap();
-        assert!(notes.vouch("audio", "x", &product));
-        assert!(!notes.vouch("audio", "y", &product));
-        assert!(!notes.vouch("visual", "x", &product));
+        assert!(vouch("audio", "x"));
+        assert!(!vouch("audio", "y") && !vouch("audio", "") && !vouch("visual", "x"));
+        notes.note_with("visual", "z", "25").unwrap();
+        assert_eq!(notes.vouched("visual", "z", &product).as_deref(), Some("25"));
         notes.forget("audio");
-        assert!(!notes.vouch("audio", "x", &product));
+        assert!(!vouch("audio", "x"));
     }
 
     #[test]
