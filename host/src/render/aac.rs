@@ -49,6 +49,22 @@ pub fn encode(samples: &[i16], rate_hz: u32) -> Result<Sound> {
     })
 }
 
+/// ADTS header of one mono 16 kHz AAC-LC unit (ISO/IEC 13818-7).
+#[cfg(test)]
+pub(super) fn adts_header(payload: usize) -> [u8; 7] {
+    let length = payload + 7;
+    let rate_index = 8;
+    [
+        0xff,
+        0xf1,
+        (1 << 6) | (rate_index << 2),
+        (1 << 6) | (length >> 11) as u8,
+        (length >> 3) as u8,
+        ((length & 7) << 5) as u8 | 0x1f,
+        0xfc,
+    ]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -85,20 +101,5 @@ mod tests {
             power += want * want;
         }
         assert!(10.0 * (power / error).log10() > 25.0, "{power} {error}");
-    }
-
-    /// ADTS header of one mono 16 kHz AAC-LC unit (ISO/IEC 13818-7).
-    fn adts_header(payload: usize) -> [u8; 7] {
-        let length = payload + 7;
-        let rate_index = 8;
-        [
-            0xff,
-            0xf1,
-            (1 << 6) | (rate_index << 2),
-            (1 << 6) | (length >> 11) as u8,
-            (length >> 3) as u8,
-            ((length & 7) << 5) as u8 | 0x1f,
-            0xfc,
-        ]
     }
 }

@@ -14,6 +14,7 @@ pub mod drawn;
 pub mod foreign;
 pub mod h264;
 pub mod mp4;
+pub mod page;
 mod painter;
 pub mod parameters;
 
@@ -157,27 +158,4 @@ fn pictures_for(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_ramp_is_read_at_the_right_time() {
-        // Parameter = the sample that the frame belongs to, so picture n must read 16000·n/fps.
-        let ramp = Array2::from_shape_fn((300, 1), |(t, _)| (160 * t + 200) as f32);
-        for fps in [25, 30, 50] {
-            let seen = at_pictures(ramp.view(), fps, 50);
-            for (n, value) in seen.column(0).iter().enumerate().skip(1) {
-                let want = 16_000.0 * n as f32 / fps as f32;
-                assert!((value - want).abs() < 0.5, "{fps} {n}: {value} {want}");
-            }
-        }
-    }
-
-    #[test]
-    fn pictures_last_as_long_as_the_sound() {
-        assert_eq!(picture_count(16_000, 25), 25);
-        assert_eq!(picture_count(16_001, 25), 26);
-        assert_eq!(samples_covered(1), 400);
-        assert_eq!(samples_covered(98), 97 * 160 + 400);
-    }
-}
+mod tests;
