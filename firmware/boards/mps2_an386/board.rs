@@ -1,0 +1,85 @@
+//! The board's registers: the only unsafe code of this program.
+use core::ptr::{addr_of, read_volatile, write_volatile};
+
+use lipstream_firmware::Clock;
+
+/// UART0, a CMSDK APB UART.
+const UART0: usize = 0x4000_4000;
+/// FPGA I/O, counter at 25 MHz.
+const COUNTER: usize = 0x4002_8018;
+
+/// Byte offsets in the UART.
+mod register {
+    pub(super) const DATA: usize = 0;
+    pub(super) const STATE: usize = 4;
+    pub(super) const CONTROL: usize = 8;
+    pub(super) const BAUD_DIVISOR: usize = 0x10;
+}
+
+/// Bits of STATE: the one-byte buffers are full.
+const SEND_FULL: u32 = 1;
+const RECEIVE_FULL: u32 = 2;
+/// Bits of CONTROL.
+const ENABLE_BOTH: u32 = 3;
+/// 16 is the smallest divisor that works; QEMU takes no time for a byte whatever it is.
+const DIVISOR: u32 = 16;
+
+fn read(address: usize) -> u32 {
+    // SAFETY: only called with addresses of 32-bit registers of this board, see the constants.
+    unsafe { read_volatile(address as *const u32) }
+}
+
+fn write(address: usize, value: u32) {
+    // SAFETY: as in `read`; none of these registers changes memory.
+    unsafe { write_volatile(address as *mut u32, value) }
+}
+
+/// One direction of a UART.
+pub(crate) struct Uart(usize);
+
+/// UART0 ready to send and to receive.
+pub(crate) fn uart0() -> (Uart, Uart) {
+    write(UART0 + register::BAUD_DIVISOR, DIVISOR);
+    write(UART0 + register::CONTROL, ENABLE_BOTH);
+    (Uart(UART0), Uart(UART0))
+}
+
+impl Uart {
+    /// Sends a byte, waiting for room.
+    pub(crate) fn put(&mut self, byte: u8) {
+        while read(self.0 + register::STATE) & SEND_FULL != 0 {}
+        write(self.0 + register::DATA, byte.into());
+    }
+
+    /// Waits for a byte.
+    pub(crate) fn get(&self) -> u8 {
+        while read(self.0 + register::STATE) & RECEIVE_FULL == 0 {}
+        read(self.0 + register::DATA) as u8
+    }
+}
+
+/// The board's counter.
+pub(crate) struct Counter;
+
+impl Clock for Counter {
+    fn ticks(&self) -> u32 {
+        read(COUNTER)
+    }
+}
+
+unsafe extern "C" {
+    /// First and one past the last word of the stack (cortex-m-rt's linker script).
+    static _stack_end: u32;
+    static _stack_start: u32;
+}
+
+/// Most bytes of stack in use so far: cortex-m-rt paints the stack before `main`, and what has been used lost its paint.
+pub(crate) fn stack_used() -> usize {
+    let mut lowest = addr_of!(_stack_end);
+    let top = addr_of!(_stack_start);
+    // SAFETY: reads words between the stack's ends, which the linker script places in RAM.
+    while lowest < top && unsafe { read_volatile(lowest) } == cortex_m_rt::STACK_PAINT_VALUE {
+        lowest = lowest.wrapping_add(1);
+    }
+    top as usize - lowest as usize
+}

@@ -1,0 +1,153 @@
+//! lipstream on Arm's MPS2 with application note 386 (Cortex-M4), as QEMU plays it.
+//!
+//! Without arguments it speaks `docs/wire.md` on UART0. With the semihosting argument `--files` it reads raw samples
+//! (i16, low byte first) from `input.pcm` in QEMU's folder, writes what it would send to `output.wire`, says how much
+//! stack it used and ends: for long recordings, since the UART is slower than real time here.
+#![no_std]
+#![no_main]
+
+mod board;
+
+use board::{Counter, Uart};
+use core::ffi::CStr;
+use cortex_m_rt::{ExceptionFrame, entry, exception};
+use lipstream_core::model::Model;
+use lipstream_firmware::{App, Clock, Line};
+use semihosting::experimental::env;
+use semihosting::fs::File;
+use semihosting::io::{Read, Write};
+use semihosting::{println, process};
+use static_cell::StaticCell;
+
+static TABLES: &[u8] = include_bytes!(env!("LIPSTREAM_TABLES_FILE"));
+static MODEL: StaticCell<Model<'static>> = StaticCell::new();
+static ON_UART: StaticCell<App<'static, UartLine, Counter>> = StaticCell::new();
+static ON_FILES: StaticCell<App<'static, FileLine, NoClock>> = StaticCell::new();
+
+const INPUT: &CStr = c"input.pcm";
+const OUTPUT: &CStr = c"output.wire";
+
+#[entry]
+fn main() -> ! {
+    let model = match Model::new_checked(TABLES) {
+        Ok(model) => MODEL.init(model),
+        Err(error) => fail(format_args!("{error}")),
+    };
+    let files = env::args::<64>().is_ok_and(|words| words.flatten().any(|word| word == "--files"));
+    if files { on_files(model) } else { on_uart(model) }
+}
+
+/// Waits for the host: nothing is ever dropped.
+struct UartLine(Uart);
+
+impl Line for UartLine {
+    fn send(&mut self, bytes: &[u8]) -> bool {
+        for &byte in bytes {
+            self.0.put(byte);
+        }
+        true
+    }
+}
+
+fn on_uart(model: &'static Model<'static>) -> ! {
+    let (sender, receiver) = board::uart0();
+    let app = ON_UART.init_with(|| App::new(model, UartLine(sender), Counter));
+    loop {
+        app.receive(receiver.get());
+    }
+}
+
+/// Gathers frames so that not every one costs a semihosting call.
+struct FileLine {
+    file: File,
+    waiting: [u8; 4096],
+    filled: usize,
+}
+
+impl FileLine {
+    fn flush(&mut self) {
+        if self.file.write_all(&self.waiting[..self.filled]).is_err() {
+            fail(format_args!("cannot write {OUTPUT:?}"));
+        }
+        self.filled = 0;
+    }
+}
+
+impl Line for FileLine {
+    fn send(&mut self, bytes: &[u8]) -> bool {
+        if self.filled + bytes.len() > self.waiting.len() {
+            self.flush();
+        }
+        self.waiting[self.filled..][..bytes.len()].copy_from_slice(bytes);
+        self.filled += bytes.len();
+        true
+    }
+}
+
+/// What is written to a file must not depend on the time it took.
+struct NoClock;
+
+impl Clock for NoClock {
+    fn ticks(&self) -> u32 {
+        0
+    }
+}
+
+fn on_files(model: &'static Model<'static>) -> ! {
+    let (Ok(mut input), Ok(file)) = (File::open(INPUT), File::create(OUTPUT)) else {
+        fail(format_args!("cannot open {INPUT:?} or make {OUTPUT:?}"));
+    };
+    let line = FileLine {
+        file,
+        waiting: [0; 4096],
+        filled: 0,
+    };
+    let app = ON_FILES.init_with(|| App::new(model, line, NoClock));
+    app.start();
+    let mut bytes = [0; 2048];
+    let mut samples = [0; 1024];
+    loop {
+        // Whole samples only: an odd byte at the end of a short read waits for its other half.
+        let mut length = 0;
+        while length < bytes.len() {
+            match input.read(&mut bytes[length..]) {
+                Ok(0) => break,
+                Ok(read) => length += read,
+                Err(_) => fail(format_args!("cannot read {INPUT:?}")),
+            }
+        }
+        if length % 2 != 0 {
+            fail(format_args!("{INPUT:?} ends in the middle of a sample"));
+        }
+        let count = length / 2;
+        for (sample, pair) in samples.iter_mut().zip(bytes[..length].as_chunks().0) {
+            *sample = i16::from_le_bytes(*pair);
+        }
+        app.samples(&samples[..count]);
+        if length < bytes.len() {
+            break;
+        }
+    }
+    app.stop();
+    app.line().flush();
+    println!("stack {} bytes", board::stack_used());
+    process::exit(0)
+}
+
+/// Ends the program with one line.
+fn fail(message: core::fmt::Arguments) -> ! {
+    println!("lipstream: {message}");
+    process::exit(1)
+}
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo) -> ! {
+    println!("{info}");
+    process::exit(101)
+}
+
+#[exception]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    println!("hard fault: {frame:?}");
+    process::exit(102)
+}

@@ -1,0 +1,249 @@
+//! The application: one stream of speech, its messages, and what it tells of itself.
+use lipstream_core::HOP_SAMPLES;
+use lipstream_core::SAMPLE_RATE_HZ;
+use lipstream_core::model::Model;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{FRAMES, Settings, Stream};
+use lipstream_core::wire::{
+    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
+    encode,
+};
+
+/// Parameter frames a second.
+const RATE_HZ: u16 = (SAMPLE_RATE_HZ / HOP_SAMPLES as u32) as u16;
+/// Frames between two rounds of `Hello` and `Status`: a second.
+const ROUND_FRAMES: u32 = RATE_HZ as u32;
+
+/// The way to the host.
+pub trait Line {
+    /// Sends all of `bytes`, one frame; or, when there is no room for it, nothing, and returns false.
+    fn send(&mut self, bytes: &[u8]) -> bool;
+}
+
+/// A counter that runs at an even pace and starts again at 0 after 2³² − 1.
+pub trait Clock {
+    /// The count; always 0 where the board has no such counter.
+    fn ticks(&self) -> u32;
+}
+
+/// What a profile means for the stream (DESIGN section 5). The delay that comes of it is in `Hello`.
+fn settings(profile: Profile) -> Settings {
+    match profile {
+        // The least delay that observations with ΔΔ allow.
+        Profile::Live => Settings {
+            lag: Some(0),
+            average: Some(false),
+            ..Settings::default()
+        },
+        // As the model was made.
+        Profile::Standard => Settings::default(),
+        Profile::Studio => Settings {
+            lag: Some(FRAMES as u16 - 1),
+            average: Some(true),
+            ..Settings::default()
+        },
+    }
+}
+
+/// The device's end of the line.
+pub struct App<'m, L, C> {
+    receiver: Receiver,
+    engine: Engine<'m, L, C>,
+}
+
+impl<'m, L: Line, C: Clock> App<'m, L, C> {
+    pub fn new(model: &'m Model<'m>, line: L, clock: C) -> Self {
+        let now = clock.ticks();
+        Self {
+            receiver: Receiver::new(),
+            engine: Engine {
+                model,
+                stream: Stream::new(model, settings(Profile::Standard)),
+                line,
+                clock,
+                running: false,
+                sequence: 0,
+                next_pcm: 0,
+                status: Status::default(),
+                busy_ticks: 0,
+                round_began: now,
+            },
+        }
+    }
+
+    /// A byte from the host.
+    pub fn receive(&mut self, byte: u8) {
+        // Bytes that are no message show as a gap in the sequence of `Pcm`.
+        if let Some(Ok(message)) = self.receiver.push(byte) {
+            self.engine.obey(&message);
+        }
+    }
+
+    /// As the message `Start`; boards with a microphone call it when they are ready.
+    pub fn start(&mut self) {
+        self.engine.start();
+    }
+
+    /// As the message `Stop`.
+    pub fn stop(&mut self) {
+        self.engine.stop();
+    }
+
+    /// Sound from the board itself, cut anywhere. Ignored before [`App::start`].
+    pub fn samples(&mut self, samples: &[i16]) {
+        self.engine.samples(samples);
+    }
+
+    /// The board had to throw away so many hops of sound.
+    pub fn overrun(&mut self, hops: u32) {
+        self.engine.overrun(hops);
+    }
+
+    /// The line, for a board that has to tend to it.
+    pub fn line(&mut self) -> &mut L {
+        &mut self.engine.line
+    }
+}
+
+/// Everything but the receiver, whose buffer a message borrows while it is obeyed.
+struct Engine<'m, L, C> {
+    model: &'m Model<'m>,
+    stream: Stream<'m>,
+    line: L,
+    clock: C,
+    /// Between `Start` and `Stop`.
+    running: bool,
+    /// Frames made since `Start`.
+    sequence: u32,
+    /// Sequence that the next `Pcm` should have.
+    next_pcm: u32,
+    status: Status,
+    /// Ticks spent in the stream since the last `Status`.
+    busy_ticks: u32,
+    /// When the last `Status` was sent.
+    round_began: u32,
+}
+
+impl<L: Line, C: Clock> Engine<'_, L, C> {
+    fn obey(&mut self, message: &ToDevice) {
+        match *message {
+            ToDevice::Start => self.start(),
+            ToDevice::Stop => self.stop(),
+            ToDevice::Profile(profile) => {
+                self.stream.set(settings(profile));
+                self.start();
+            }
+            ToDevice::Pcm(pcm) => self.pcm(pcm),
+        }
+    }
+
+    fn start(&mut self) {
+        self.stream.reset();
+        self.running = true;
+        self.sequence = 0;
+        self.next_pcm = 0;
+        self.status = Status::default();
+        self.busy_ticks = 0;
+        self.round_began = self.clock.ticks();
+        // Ends whatever stands half sent on the line.
+        self.line.send(&[0]);
+        self.say_hello();
+    }
+
+    fn stop(&mut self) {
+        if !self.running {
+            return;
+        }
+        loop {
+            let began = self.clock.ticks();
+            let frame = self.stream.finish();
+            self.worked_since(began);
+            let Some(frame) = frame else { break };
+            self.give(&frame);
+        }
+        self.running = false;
+        self.say_status();
+    }
+
+    fn pcm(&mut self, pcm: Pcm) {
+        if !self.running {
+            return;
+        }
+        self.overrun(pcm.sequence.wrapping_sub(self.next_pcm));
+        self.next_pcm = pcm.sequence.wrapping_add(1);
+        let mut samples = [0; MAX_PCM_SAMPLES];
+        let mut count = 0;
+        for (to, sample) in samples.iter_mut().zip(pcm.samples()) {
+            *to = sample;
+            count += 1;
+        }
+        self.samples(&samples[..count]);
+    }
+
+    fn samples(&mut self, mut samples: &[i16]) {
+        if !self.running {
+            return;
+        }
+        while !samples.is_empty() {
+            let began = self.clock.ticks();
+            let (consumed, frame) = self.stream.push(samples);
+            self.worked_since(began);
+            samples = &samples[consumed..];
+            if let Some(frame) = frame {
+                self.give(&frame);
+            }
+        }
+    }
+
+    fn overrun(&mut self, hops: u32) {
+        self.status.overruns = self.status.overruns.saturating_add(hops);
+    }
+
+    fn worked_since(&mut self, began: u32) {
+        let ticks = self.clock.ticks().wrapping_sub(began);
+        self.busy_ticks = self.busy_ticks.saturating_add(ticks);
+    }
+
+    /// Sends a frame and, once a second, how to read it and how it goes.
+    fn give(&mut self, frame: &ParameterFrame) {
+        let message = ToHost::Frame(Frame::new(self.sequence, frame));
+        if !self.say(&message) {
+            self.status.dropped = self.status.dropped.saturating_add(1);
+        }
+        self.sequence = self.sequence.wrapping_add(1);
+        if self.sequence.is_multiple_of(ROUND_FRAMES) {
+            self.say_hello();
+            self.say_status();
+        }
+    }
+
+    fn say_hello(&mut self) {
+        let hello = Hello {
+            protocol: PROTOCOL,
+            model: self.model.id(),
+            scales: self.model.parameter_scales().collect(),
+            rate_hz: RATE_HZ,
+            lag_samples: self.stream.delay_samples().min(usize::from(u16::MAX)) as u16,
+        };
+        self.say(&ToHost::Hello(hello));
+    }
+
+    fn say_status(&mut self) {
+        let now = self.clock.ticks();
+        let elapsed = u64::from(now.wrapping_sub(self.round_began)).max(1);
+        // At most 1000 where the counter is not slower than 2³² ticks a round.
+        self.status.load_permille = (u64::from(self.busy_ticks) * 1000 / elapsed).min(1000) as u16;
+        self.say(&ToHost::Status(self.status));
+        self.busy_ticks = 0;
+        self.round_began = now;
+    }
+
+    fn say(&mut self, message: &ToHost) -> bool {
+        let mut buffer = [0; MAX_ENCODED];
+        match encode(message, &mut buffer) {
+            Ok(bytes) => self.line.send(bytes),
+            // Cannot be: MAX_ENCODED is enough for every message.
+            Err(_) => false,
+        }
+    }
+}
