@@ -27,7 +27,7 @@ pub trait Clock {
 }
 
 /// What a profile means for the stream (DESIGN section 5). The delay that comes of it is in `Hello`.
-fn settings(profile: Profile) -> Settings {
+pub fn settings(profile: Profile) -> Settings {
     match profile {
         // The least delay that observations with ΔΔ allow.
         Profile::Live => Settings {

@@ -1,0 +1,60 @@
+//! What the tests on the host share: the tables of a synthetic model, sound, the host's frames.
+#![allow(dead_code)] // each test program uses its part
+
+use std::path::{Path, PathBuf};
+
+use lipstream::export::{ExportSettings, export};
+use lipstream::synthetic;
+use lipstream_core::model::Model;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{Settings, Stream};
+use rand::SeedableRng;
+
+pub(crate) mod qemu;
+
+/// The repository's top folder.
+pub(crate) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("the tests have a folder")
+}
+
+/// A folder for this test's files, empty.
+pub(crate) fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    if folder.exists() {
+        std::fs::remove_dir_all(&folder).expect("remove an earlier run's files");
+    }
+    std::fs::create_dir_all(&folder).expect("make a folder");
+    folder
+}
+
+/// The project's own speech, 16 kHz.
+pub(crate) fn hello() -> Vec<i16> {
+    let path = root().join("data/hello.wav");
+    let mut reader = hound::WavReader::open(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    assert_eq!((reader.spec().sample_rate, reader.spec().channels), (16_000, 1));
+    reader.samples().map(|sample| sample.expect("a sample")).collect()
+}
+
+/// Tables of a random model as large as a real one.
+pub(crate) fn synthetic_tables() -> Vec<u8> {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(8);
+    let model = synthetic::model(&synthetic::Sizes::full(), 1.0, &mut rng);
+    export(&model, &ExportSettings::of(&model))
+        .expect("a synthetic model exports")
+        .bytes
+}
+
+/// What the core gives on the host.
+pub(crate) fn host_frames(model: &Model, settings: Settings, mut samples: &[i16]) -> Vec<ParameterFrame> {
+    let mut stream = Stream::new(model, settings);
+    let mut frames = Vec::new();
+    while !samples.is_empty() {
+        let (consumed, frame) = stream.push(samples);
+        frames.extend(frame);
+        samples = &samples[consumed..];
+    }
+    frames.extend(std::iter::from_fn(|| stream.finish()));
+    frames
+}

@@ -1,0 +1,178 @@
+//! QEMU's mps2-an386 with lipstream's firmware in it.
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use lipstream::link::Link;
+use lipstream_core::wire::{MAX_ENCODED, Pcm, ToDevice, ToHost, encode};
+
+/// Longest that anything may take; for a machine that is busy with other things.
+const PATIENCE: Duration = Duration::from_secs(300);
+
+/// Builds the firmware with these tables; gives the program.
+pub(crate) fn build_firmware(folder: &Path, tables: &[u8]) -> PathBuf {
+    let tables_path = folder.join("model.tables");
+    std::fs::write(&tables_path, tables).expect("write the tables");
+    let target = Path::new(env!("CARGO_TARGET_TMPDIR"))
+        .parent()
+        .expect("inside the target folder");
+    let output = Command::new(env!("CARGO"))
+        .current_dir(super::root())
+        .args([
+            "build",
+            "--locked",
+            "--package",
+            "lipstream-firmware",
+            "--features",
+            "mps2-an386",
+        ])
+        .args([
+            "--bin",
+            "mps2-an386",
+            "--profile",
+            "firmware",
+            "--target",
+            "thumbv7em-none-eabihf",
+        ])
+        .arg("--target-dir")
+        .arg(target)
+        .env("LIPSTREAM_TABLES", &tables_path)
+        .output()
+        .expect("run cargo");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let program = folder.join("mps2-an386");
+    std::fs::copy(target.join("thumbv7em-none-eabihf/firmware/mps2-an386"), &program).expect("the program");
+    program
+}
+
+/// QEMU with `program` in it, `words` as its command line; nothing on the serial lines yet.
+fn qemu(program: &Path, words: &[&str]) -> Command {
+    let mut semihosting = "enable=on,target=native,arg=lipstream".to_owned();
+    for word in words {
+        semihosting += &format!(",arg={word}");
+    }
+    let mut command = Command::new("qemu-system-arm");
+    command
+        .args(["-machine", "mps2-an386", "-display", "none", "-monitor", "none"])
+        .args(["-semihosting-config", &semihosting, "-kernel"])
+        .arg(program)
+        .stdin(Stdio::null());
+    command
+}
+
+/// Runs the firmware on a file of samples: what it would have sent, and what it said.
+pub(crate) fn run_on_file(program: &Path, folder: &Path, samples: &[i16]) -> (Vec<u8>, String) {
+    let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
+    std::fs::write(folder.join("input.pcm"), bytes).expect("write the samples");
+    let output = qemu(program, &["--files"])
+        .current_dir(folder)
+        .output()
+        .expect("run qemu-system-arm");
+    let said =
+        String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    (
+        std::fs::read(folder.join("output.wire")).expect("what was sent"),
+        said,
+    )
+}
+
+/// A machine whose UART0 is at hand.
+pub(crate) struct Machine {
+    process: Child,
+    line: TcpStream,
+}
+
+impl Machine {
+    pub(crate) fn boot(program: &Path) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("a port").port();
+        let mut process = qemu(program, &[])
+            .args([
+                "-chardev",
+                &format!("socket,id=line,host=127.0.0.1,port={port},nodelay=on"),
+            ])
+            .args(["-serial", "chardev:line"])
+            .stdout(Stdio::inherit())
+            .spawn()
+            .expect("run qemu-system-arm");
+        listener
+            .set_nonblocking(true)
+            .expect("a listener that does not wait for ever");
+        let began = Instant::now();
+        let line = loop {
+            match listener.accept() {
+                Ok((line, _)) => break line,
+                Err(_) if began.elapsed() < PATIENCE => {
+                    if let Ok(Some(status)) = process.try_wait() {
+                        panic!("QEMU ended: {status}");
+                    }
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                Err(error) => panic!("QEMU does not connect: {error}"),
+            }
+        };
+        line.set_nonblocking(false).expect("a line that waits");
+        line.set_read_timeout(Some(PATIENCE)).expect("a limit");
+        line.set_write_timeout(Some(PATIENCE)).expect("a limit");
+        Self { process, line }
+    }
+
+    pub(crate) fn send_bytes(&mut self, bytes: &[u8]) {
+        self.line.write_all(bytes).expect("the machine takes bytes");
+    }
+
+    pub(crate) fn send(&mut self, message: ToDevice) {
+        self.send_bytes(&bytes(message));
+    }
+
+    /// Sends `line` while messages come in, until `done` says of all so far that no more will come.
+    pub(crate) fn talk(
+        &mut self,
+        line: Vec<u8>,
+        link: &mut Link,
+        done: impl Fn(&[ToHost]) -> bool,
+    ) -> Vec<ToHost> {
+        let mut sender = self.line.try_clone().expect("a second handle");
+        let sending = std::thread::spawn(move || sender.write_all(&line));
+        let mut messages = Vec::new();
+        let mut buffer = [0; 4096];
+        while !done(&messages) {
+            let count = self.line.read(&mut buffer).expect("messages from the machine");
+            assert!(count > 0, "the machine hung up after {} messages", messages.len());
+            link.push(&buffer[..count], |message| messages.push(message))
+                .expect("our own protocol and model");
+        }
+        sending
+            .join()
+            .expect("the sender")
+            .expect("the machine takes bytes");
+        messages
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// A message as the device takes it.
+pub(crate) fn bytes(message: ToDevice) -> Vec<u8> {
+    encode(&message, &mut [0; MAX_ENCODED]).expect("room").to_vec()
+}
+
+/// `Pcm` messages of `samples`, `length` in each.
+pub(crate) fn pcm(samples: &[i16], length: usize) -> Vec<Vec<u8>> {
+    (0..)
+        .zip(samples.chunks(length))
+        .map(|(sequence, part)| bytes(ToDevice::Pcm(Pcm::new(sequence, part, &mut [0; 320]))))
+        .collect()
+}

@@ -1,0 +1,218 @@
+//! The firmware in QEMU gives what the core gives on the host, byte for byte, over its UART and from files.
+mod common;
+
+use std::path::PathBuf;
+use std::sync::OnceLock;
+
+use common::qemu::{Machine, build_firmware, bytes, pcm, run_on_file};
+use lipstream::link::{Link, Losses};
+use lipstream_core::model::Model;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToDevice, ToHost, encode};
+use lipstream_firmware::settings;
+
+struct Firmware {
+    program: PathBuf,
+    tables: Vec<u8>,
+}
+
+/// The firmware with a synthetic model, built once for all tests here.
+fn firmware() -> &'static Firmware {
+    static FIRMWARE: OnceLock<Firmware> = OnceLock::new();
+    FIRMWARE.get_or_init(|| {
+        let tables = common::synthetic_tables();
+        let program = build_firmware(&common::folder("firmware"), &tables);
+        Firmware { program, tables }
+    })
+}
+
+/// The bytes that the host would send for `frames`.
+fn encoded(frames: &[ParameterFrame]) -> Vec<Vec<u8>> {
+    (0..)
+        .zip(frames)
+        .map(|(sequence, frame)| encode_to_host(&ToHost::Frame(Frame::new(sequence, frame))))
+        .collect()
+}
+
+fn encode_to_host(message: &ToHost) -> Vec<u8> {
+    encode(message, &mut [0; MAX_ENCODED]).expect("room").to_vec()
+}
+
+/// The frames among `messages` as bytes.
+fn frames(messages: &[ToHost]) -> Vec<Vec<u8>> {
+    messages
+        .iter()
+        .filter(|message| matches!(message, ToHost::Frame(_)))
+        .map(encode_to_host)
+        .collect()
+}
+
+/// A failing comparison says where the two part, not a hundred kilobytes.
+fn assert_same(device: &[Vec<u8>], host: &[Vec<u8>]) {
+    assert!(!host.is_empty());
+    for (i, (device, host)) in device.iter().zip(host).enumerate() {
+        assert_eq!(device, host, "frame {i}");
+    }
+    assert_eq!(device.len(), host.len());
+}
+
+fn expected_hello(model: &Model, settings: Settings) -> Hello {
+    Hello {
+        protocol: PROTOCOL,
+        model: model.id(),
+        scales: model.parameter_scales().collect(),
+        rate_hz: 100,
+        lag_samples: Stream::new(model, settings).delay_samples() as u16,
+    }
+}
+
+fn is_status(message: &ToHost) -> bool {
+    matches!(message, ToHost::Status(_))
+}
+
+/// Enough speech for more than one round of `Hello` and `Status` where a test does not need all of it.
+const SHORT: usize = 24_000;
+
+#[test]
+fn uart_gives_the_hosts_bytes() {
+    let firmware = firmware();
+    let model = Model::new_checked(&firmware.tables).unwrap();
+    let samples = &common::hello()[..];
+    let host = host(&model, settings(Profile::Standard), samples);
+
+    let mut machine = Machine::boot(&firmware.program);
+    let mut link = Link::new(Some(model.id()));
+    let mut line = bytes(ToDevice::Start);
+    line.extend(pcm(samples, 160).concat());
+    line.extend(bytes(ToDevice::Stop));
+    let rounds = host.len() / 100;
+    // The last Status is the one at Stop.
+    let messages = machine.talk(line, &mut link, |messages| {
+        messages.iter().filter(|message| is_status(message)).count() > rounds
+    });
+
+    assert_same(&frames(&messages), &host);
+    let hello = ToHost::Hello(expected_hello(&model, settings(Profile::Standard)));
+    assert_eq!(messages[0], hello);
+    assert_eq!(
+        messages.iter().filter(|message| **message == hello).count(),
+        1 + rounds
+    );
+    for message in &messages {
+        if let ToHost::Status(status) = message {
+            assert_eq!((status.overruns, status.dropped), (0, 0));
+            assert!((1..=1000).contains(&status.load_permille), "{status:?}");
+        }
+    }
+    assert_eq!(link.losses(), Losses::default());
+}
+
+fn host(model: &Model, settings: Settings, samples: &[i16]) -> Vec<Vec<u8>> {
+    encoded(&common::host_frames(model, settings, samples))
+}
+
+/// Everything that comes for `line`, up to the one `Status` at `Stop`; for less than a second of speech.
+fn until_status(machine: &mut Machine, line: Vec<u8>, link: &mut Link) -> Vec<ToHost> {
+    machine.talk(line, link, |messages| messages.last().is_some_and(is_status))
+}
+
+#[test]
+fn profiles_and_restarts() {
+    let firmware = firmware();
+    let model = Model::new_checked(&firmware.tables).unwrap();
+    let samples = &common::hello()[4000..][..SHORT / 2];
+    let mut machine = Machine::boot(&firmware.program);
+    let mut link = Link::new(None);
+    for profile in [Profile::Studio, Profile::Live, Profile::Standard, Profile::Live] {
+        // Profile starts anew by itself. Pieces of another length make no difference.
+        let mut line = bytes(ToDevice::Profile(profile));
+        line.extend(pcm(samples, 97).concat());
+        line.extend(bytes(ToDevice::Stop));
+        let messages = until_status(&mut machine, line, &mut link);
+        assert_eq!(
+            messages[0],
+            ToHost::Hello(expected_hello(&model, settings(profile)))
+        );
+        assert_same(&frames(&messages), &host(&model, settings(profile), samples));
+    }
+    // Start keeps the profile.
+    let mut line = bytes(ToDevice::Start);
+    line.extend(pcm(samples, 160).concat());
+    line.extend(bytes(ToDevice::Stop));
+    let messages = until_status(&mut machine, line, &mut link);
+    assert_same(
+        &frames(&messages),
+        &host(&model, settings(Profile::Live), samples),
+    );
+    let lags = [Profile::Live, Profile::Standard, Profile::Studio]
+        .map(|profile| expected_hello(&model, settings(profile)).lag_samples);
+    assert!(lags.is_sorted() && lags[0] < lags[2], "{lags:?}");
+}
+
+#[test]
+fn damage_on_the_way_to_the_device_is_counted_and_survived() {
+    let firmware = firmware();
+    let model = Model::new_checked(&firmware.tables).unwrap();
+    let samples = &common::hello()[..SHORT / 2];
+    let mut machine = Machine::boot(&firmware.program);
+    let mut link = Link::new(None);
+    // Before Start: sound is not wanted, noise does no harm.
+    machine.send_bytes(&[0x55; 700]);
+    machine.send_bytes(&[0]);
+    machine.send_bytes(&pcm(samples, 160)[0]);
+    machine.send(ToDevice::Stop);
+
+    let mut parts = pcm(samples, 160);
+    // One damaged, one lost, one cut short by a stray zero: 3 hops do not arrive.
+    parts[10][30] ^= 0x04;
+    parts[20].clear();
+    parts[30][40] = 0;
+    let mut line = bytes(ToDevice::Start);
+    line.extend(parts.concat());
+    line.extend(bytes(ToDevice::Stop));
+    let messages = until_status(&mut machine, line, &mut link);
+    let Some(ToHost::Status(Status {
+        overruns, dropped, ..
+    })) = messages.last()
+    else {
+        panic!("the last message is {:?}", messages.last());
+    };
+    assert_eq!((*overruns, *dropped), (3, 0));
+
+    let arrived: Vec<i16> = samples
+        .chunks(160)
+        .enumerate()
+        .filter(|(i, _)| ![10, 20, 30].contains(i))
+        .flat_map(|(_, hop)| hop.iter().copied())
+        .collect();
+    assert_same(
+        &frames(&messages),
+        &host(&model, settings(Profile::Standard), &arrived),
+    );
+}
+
+#[test]
+fn files_give_the_hosts_bytes() {
+    let firmware = firmware();
+    let model = Model::new_checked(&firmware.tables).unwrap();
+    // Speech, silence, full-scale square wave, noise, speech much too loud.
+    let speech = common::hello();
+    let mut samples = speech.clone();
+    samples.extend([0; 8000]);
+    samples.extend((0..8000).map(|i| if i / 40 % 2 == 0 { i16::MAX } else { i16::MIN }));
+    let mut random = lipstream_tests::random::Random::new(3);
+    samples.extend((0..8000).map(|_| random.next_u32() as i16));
+    samples.extend(speech.iter().map(|sample| sample.saturating_mul(20)));
+    let (sent, said) = run_on_file(&firmware.program, &common::folder("firmware-files"), &samples);
+    let mut link = Link::new(Some(model.id()));
+    let mut messages = Vec::new();
+    link.push(&sent, |message| messages.push(message)).unwrap();
+    assert_eq!(link.losses(), Losses::default());
+    assert_same(
+        &frames(&messages),
+        &host(&model, settings(Profile::Standard), &samples),
+    );
+    assert_eq!(messages.last(), Some(&ToHost::Status(Status::default())));
+    assert!(said.starts_with("stack "), "{said}");
+}
