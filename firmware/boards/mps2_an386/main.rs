@@ -12,7 +12,7 @@ use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::model::Model;
-use lipstream_firmware::{App, Clock, Line};
+use lipstream_firmware::{App, Line};
 use semihosting::experimental::env;
 use semihosting::fs::File;
 use semihosting::io::{Read, Write};
@@ -21,8 +21,7 @@ use static_cell::StaticCell;
 
 static TABLES: &[u8] = include_bytes!(env!("LIPSTREAM_TABLES_FILE"));
 static MODEL: StaticCell<Model<'static>> = StaticCell::new();
-static ON_UART: StaticCell<App<'static, UartLine, Counter>> = StaticCell::new();
-static ON_FILES: StaticCell<App<'static, FileLine, NoClock>> = StaticCell::new();
+static APP: StaticCell<App<'static, Wire, Counter>> = StaticCell::new();
 
 const INPUT: &CStr = c"input.pcm";
 const OUTPUT: &CStr = c"output.wire";
@@ -37,13 +36,23 @@ fn main() -> ! {
     if files { on_files(model) } else { on_uart(model) }
 }
 
-/// Waits for the host: nothing is ever dropped.
-struct UartLine(Uart);
+/// Where messages go.
+#[allow(clippy::large_enum_variant, reason = "there is one, in a static")]
+enum Wire {
+    /// Waits for the host: nothing is ever dropped.
+    Uart(Uart),
+    File(FileLine),
+}
 
-impl Line for UartLine {
+impl Line for Wire {
     fn send(&mut self, bytes: &[u8]) -> bool {
-        for &byte in bytes {
-            self.0.put(byte);
+        match self {
+            Self::Uart(uart) => {
+                for &byte in bytes {
+                    uart.put(byte);
+                }
+            }
+            Self::File(file) => file.put(bytes),
         }
         true
     }
@@ -51,7 +60,7 @@ impl Line for UartLine {
 
 fn on_uart(model: &'static Model<'static>) -> ! {
     let (sender, receiver) = board::uart0();
-    let app = ON_UART.init_with(|| App::new(model, UartLine(sender), Counter));
+    let app = APP.init_with(|| App::new(model, Wire::Uart(sender), Counter::Running));
     loop {
         app.receive(receiver.get());
     }
@@ -60,36 +69,24 @@ fn on_uart(model: &'static Model<'static>) -> ! {
 /// Gathers frames so that not every one costs a semihosting call.
 struct FileLine {
     file: File,
-    waiting: [u8; 4096],
+    waiting: [u8; 1024],
     filled: usize,
 }
 
 impl FileLine {
-    fn flush(&mut self) {
-        if self.file.write_all(&self.waiting[..self.filled]).is_err() {
-            fail(format_args!("cannot write {OUTPUT:?}"));
-        }
-        self.filled = 0;
-    }
-}
-
-impl Line for FileLine {
-    fn send(&mut self, bytes: &[u8]) -> bool {
+    fn put(&mut self, bytes: &[u8]) {
         if self.filled + bytes.len() > self.waiting.len() {
             self.flush();
         }
         self.waiting[self.filled..][..bytes.len()].copy_from_slice(bytes);
         self.filled += bytes.len();
-        true
     }
-}
 
-/// What is written to a file must not depend on the time it took.
-struct NoClock;
-
-impl Clock for NoClock {
-    fn ticks(&self) -> u32 {
-        0
+    fn flush(&mut self) {
+        if self.file.write_all(&self.waiting[..self.filled]).is_err() {
+            fail(format_args!("cannot write {OUTPUT:?}"));
+        }
+        self.filled = 0;
     }
 }
 
@@ -99,13 +96,14 @@ fn on_files(model: &'static Model<'static>) -> ! {
     };
     let line = FileLine {
         file,
-        waiting: [0; 4096],
+        waiting: [0; 1024],
         filled: 0,
     };
-    let app = ON_FILES.init_with(|| App::new(model, line, NoClock));
+    // What is written must not depend on the time that it took.
+    let app = APP.init_with(|| App::new(model, Wire::File(line), Counter::Still));
     app.start();
-    let mut bytes = [0; 2048];
-    let mut samples = [0; 1024];
+    let mut bytes = [0; 640];
+    let mut samples = [0; 320];
     loop {
         // Whole samples only: an odd byte at the end of a short read waits for its other half.
         let mut length = 0;
@@ -129,7 +127,9 @@ fn on_files(model: &'static Model<'static>) -> ! {
         }
     }
     app.stop();
-    app.line().flush();
+    if let Wire::File(file) = app.line() {
+        file.flush();
+    }
     println!("stack {} bytes", board::stack_used());
     process::exit(0)
 }
