@@ -282,7 +282,8 @@ pub fn read_npy(path: &Path) -> Result<Array2<f32>> {
             path.display()
         );
     }
-    Ok(array)
+    // A file in column order becomes row order: everything else walks frames as slices.
+    Ok(array.as_standard_layout().into_owned())
 }
 
 /// Writes a two-dimensional f32 array, whole or not at all.

@@ -374,7 +374,7 @@ mod tests {
     use rand_pcg::Pcg64;
 
     /// Two phones whose sound and look differ, said in turn, with noise.
-    fn corpus(topology: Topology) -> (Vec<Utterance>, Vec<Phone>) {
+    fn corpus() -> (Vec<Utterance>, Vec<Phone>) {
         let phones: Vec<Phone> = ["sil", "b", "iy"].map(|n| Phone::from_name(n).unwrap()).to_vec();
         let mut rng = Pcg64::seed_from_u64(11);
         let utterances = (0..20)
@@ -413,14 +413,13 @@ mod tests {
                 }
             })
             .collect();
-        let _ = topology;
         (utterances, phones)
     }
 
     #[test]
     fn likelihood_never_falls() {
         for topology in [Topology::PH_VI_CHMM, Topology::PH_HMM] {
-            let (utterances, phones) = corpus(topology);
+            let (utterances, phones) = corpus();
             let (mut parameters, audio, visual) = start(&utterances, topology, &phones);
             // With the transition prior EM climbs the posterior; without data floors the likelihood dominates.
             let mut last = f64::NEG_INFINITY;
@@ -440,7 +439,7 @@ mod tests {
 
     #[test]
     fn shards_add_up_to_the_whole() {
-        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (utterances, phones) = corpus();
         let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
         let whole = expect(&parameters, &utterances, &|_| ());
         let mut parts = expect(&parameters, &utterances[..8], &|_| ());
@@ -460,7 +459,7 @@ mod tests {
 
     #[test]
     fn the_number_of_threads_changes_nothing() {
-        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (utterances, phones) = corpus();
         let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
         let run = |threads| {
             let pool = rayon::ThreadPoolBuilder::new()
@@ -476,7 +475,7 @@ mod tests {
 
     #[test]
     fn alignment_finds_the_borders() {
-        let (utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (utterances, phones) = corpus();
         let (mut parameters, audio, visual) = start(&utterances, Topology::PH_VI_CHMM, &phones);
         for _ in 0..6 {
             let sums = expect(&parameters, &utterances, &|_| ());
@@ -499,7 +498,7 @@ mod tests {
 
     #[test]
     fn an_utterance_shorter_than_its_states_is_named() {
-        let (mut utterances, phones) = corpus(Topology::PH_VI_CHMM);
+        let (mut utterances, phones) = corpus();
         let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
         utterances[3].audio = utterances[3].audio.slice(ndarray::s![..7, ..]).to_owned();
         utterances[3].visual = utterances[3]

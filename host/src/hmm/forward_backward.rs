@@ -44,6 +44,7 @@ pub fn forward(
     for &(state, log) in &graph.entries {
         predicted[state] += f64::from(log).exp();
     }
+    let to_exit = frames_to_exit(graph);
     let mut log_likelihood = 0.0;
     let mut logs = vec![0.0f64; n];
     for t in 0..frames {
@@ -60,7 +61,8 @@ pub fn forward(
         }
         let mut max = f64::NEG_INFINITY;
         for s in 0..n {
-            if predicted[s] > NOTHING {
+            // A state too far from the end to get there in time explains nothing, and must not crowd out those that can.
+            if predicted[s] > NOTHING && to_exit[s] < frames - t {
                 logs[s] = emission.log(t, s);
                 max = max.max(predicted[s].ln() + logs[s]);
             } else {
@@ -101,6 +103,27 @@ pub fn forward(
         emission: scaled,
         log_likelihood,
     })
+}
+
+/// Fewest arcs from each state to where an utterance may end; 0 everywhere if it may end anywhere.
+fn frames_to_exit(graph: &Graph) -> Vec<usize> {
+    let Some(exits) = &graph.exits else { return vec![0; graph.states.len()] };
+    let mut before = vec![Vec::new(); graph.states.len()];
+    for arc in &graph.arcs {
+        before[arc.to as usize].push(arc.from as usize);
+    }
+    let mut distance = vec![usize::MAX; graph.states.len()];
+    exits.iter().for_each(|&s| distance[s] = 0);
+    let mut queue: std::collections::VecDeque<usize> = exits.iter().copied().collect();
+    while let Some(state) = queue.pop_front() {
+        for &from in &before[state] {
+            if distance[from] == usize::MAX {
+                distance[from] = distance[state] + 1;
+                queue.push_back(from);
+            }
+        }
+    }
+    distance
 }
 
 impl Forward {
@@ -385,6 +408,17 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn just_long_enough_is_long_enough() {
+        // Ten frames for ten states: one diagonal path and its neighbours, however unlikely each step is.
+        let mut tiny = tiny(Topology::PH_HMM, 10, false, 2);
+        tiny.log.indexed_iter_mut().for_each(|((t, s), l)| *l = if s == t { -400.0 } else { 0.0 });
+        let emission = |t: usize, s: usize| tiny.log[[t, s]];
+        let f = forward(&tiny.graph, &tiny.probability, 10, &emission).unwrap();
+        let g = f.backward(&tiny.graph, &tiny.probability, |_, _, _| ());
+        (0..10).for_each(|t| assert!((g[[t, t]] - 1.0).abs() < 1e-9));
     }
 
     #[test]
