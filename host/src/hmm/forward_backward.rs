@@ -107,7 +107,9 @@ pub fn forward(
 
 /// Fewest arcs from each state to where an utterance may end; 0 everywhere if it may end anywhere.
 fn frames_to_exit(graph: &Graph) -> Vec<usize> {
-    let Some(exits) = &graph.exits else { return vec![0; graph.states.len()] };
+    let Some(exits) = &graph.exits else {
+        return vec![0; graph.states.len()];
+    };
     let mut before = vec![Vec::new(); graph.states.len()];
     for arc in &graph.arcs {
         before[arc.to as usize].push(arc.from as usize);
@@ -414,7 +416,9 @@ mod tests {
     fn just_long_enough_is_long_enough() {
         // Ten frames for ten states: one diagonal path and its neighbours, however unlikely each step is.
         let mut tiny = tiny(Topology::PH_HMM, 10, false, 2);
-        tiny.log.indexed_iter_mut().for_each(|((t, s), l)| *l = if s == t { -400.0 } else { 0.0 });
+        tiny.log
+            .indexed_iter_mut()
+            .for_each(|((t, s), l)| *l = if s == t { -400.0 } else { 0.0 });
         let emission = |t: usize, s: usize| tiny.log[[t, s]];
         let f = forward(&tiny.graph, &tiny.probability, 10, &emission).unwrap();
         let g = f.backward(&tiny.graph, &tiny.probability, |_, _, _| ());
