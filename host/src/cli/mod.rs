@@ -5,6 +5,7 @@ use anyhow::Result;
 use clap::{Parser, Subcommand};
 
 mod convert;
+mod cues;
 mod demo;
 mod evaluate;
 mod export;
@@ -24,6 +25,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Convert(convert::Args),
+    Cues(cues::Args),
     Demo(demo::Args),
     Evaluate(evaluate::Args),
     Export(export::Args),
@@ -37,6 +39,7 @@ enum Command {
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
     match Cli::parse_from(args).command {
         Command::Convert(args) => convert::run(args),
+        Command::Cues(args) => cues::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),

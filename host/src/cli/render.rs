@@ -5,25 +5,29 @@ use anyhow::{Context as _, Result, bail};
 use indicatif::ProgressBar;
 use ndarray::Array2;
 
+use crate::engine::{Engine, Kind, RunSettings};
 use crate::mouth::MouthSpace;
-use crate::render::{self, Settings, foreign, parameters};
+use crate::render::{self, Settings, foreign, page, parameters};
 use crate::tensors::Tensors;
-use crate::{audio, files};
+use crate::{audio, cues, files};
 
-/// Draw the mouth that parameters or speech describe
+/// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Parameters that `lipstream convert` wrote (.npy, 100 frames a second)
+    /// Speech (.wav), or parameters that `lipstream convert` wrote (.npy, 100 frames a second)
     input: PathBuf,
-    /// Model, or the mouth.safetensors of a feature folder
+    /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
     #[arg(short, long)]
     model: PathBuf,
-    /// Video to write: .mp4 needs no other program, every other format needs ffmpeg
+    /// Where to: .mp4, .html (a page that plays it); every other video format needs ffmpeg
     #[arg(short, long)]
     output: PathBuf,
-    /// Sound of the video: the WAV that the parameters come from
+    /// Sound of the video, when the input is parameters
     #[arg(long)]
     audio: Option<PathBuf>,
+    /// Arithmetic, when the input is speech
+    #[arg(long, value_enum, default_value_t = Kind::Fixed)]
+    engine: Kind,
     /// Pictures a second
     #[arg(long, default_value_t = 25)]
     fps: u32,
@@ -35,6 +39,15 @@ pub(crate) struct Args {
     noise: f32,
 }
 
+/// What is to be drawn and heard.
+struct Performance {
+    /// `[frames, D]`
+    tracks: Array2<f32>,
+    /// `[frames, 13]`; absent in plain parameters.
+    visemes: Option<Array2<f32>>,
+    sound: Option<Vec<i16>>,
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
     let settings = Settings {
         fps: args.fps,
@@ -42,32 +55,48 @@ pub(crate) fn run(args: Args) -> Result<()> {
         noise: args.noise,
     };
     let space = mouth(&args.model)?;
-    let tracks = tracks(&args.input)?;
-    let sound = match &args.audio {
-        Some(path) => Some(audio::read(path)?.samples),
-        None => None,
-    };
-    let sound = sound.as_deref();
+    let (width, height) = settings.size(&space)?;
+    let performance = performance(&args)?;
+    let tracks = performance.tracks.view();
+    let sound = performance.sound.as_deref();
     let bar = ProgressBar::new(0).with_message("pictures");
     let progress = |done: usize, all: usize| {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     };
-    let pictures = if ending(&args.output) == "mp4" {
-        let rendered = render::to_mp4(&space, tracks.view(), sound, &settings, progress)?;
-        files::write_bytes(&args.output, &rendered.mp4)?;
-        rendered.pictures
-    } else {
-        foreign::write(&args.output, &space, tracks.view(), sound, &settings, progress)?
+    let pictures = match ending(&args.output).as_str() {
+        "mp4" => {
+            let rendered = render::to_mp4(&space, tracks, sound, &settings, progress)?;
+            files::write_bytes(&args.output, &rendered.mp4)?;
+            rendered.pictures
+        }
+        "html" => {
+            let (Some(visemes), Some(sound)) = (&performance.visemes, sound) else {
+                bail!("a page shows what the model hears: give speech (.wav), not parameters");
+            };
+            let rendered = render::to_mp4(&space, tracks, Some(sound), &settings, progress)?;
+            let seconds = sound.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
+            let text = page::write(&page::Page {
+                title: &name(&args.input),
+                mp4: &rendered.mp4,
+                sound,
+                viseme_weights: visemes.view(),
+                parameters: tracks,
+                deviation: space.deviation.view(),
+                cues: &cues::cues(visemes.view(), seconds)?,
+            })?;
+            files::write_bytes(&args.output, text.as_bytes())?;
+            rendered.pictures
+        }
+        _ => foreign::write(&args.output, &space, tracks, sound, &settings, progress)?,
     };
     bar.finish_and_clear();
-    let (width, height) = settings.size(&space)?;
     println!(
         "{}: {pictures} pictures of {width}×{height}, {:.2} s{}",
         args.output.display(),
         pictures as f64 / f64::from(args.fps),
         if sound.is_some() {
-            ", with sound"
+            ""
         } else {
             ", without sound (--audio WAV adds it)"
         }
@@ -87,14 +116,31 @@ fn mouth(path: &Path) -> Result<MouthSpace> {
     MouthSpace::load(&tensors).with_context(|| format!("{} is no usable model", path.display()))
 }
 
-fn tracks(input: &Path) -> Result<Array2<f32>> {
-    match ending(input).as_str() {
-        "npy" => parameters::read(input),
-        _ => bail!(
-            "{} is no .npy of parameters (make one with `lipstream convert`)",
-            input.display()
-        ),
+fn performance(args: &Args) -> Result<Performance> {
+    if ending(&args.input) == "npy" {
+        let sound = match &args.audio {
+            Some(path) => Some(audio::read(path)?.samples),
+            None => None,
+        };
+        return Ok(Performance {
+            tracks: parameters::read(&args.input)?,
+            visemes: None,
+            sound,
+        });
     }
+    if args.audio.is_some() {
+        bail!("--audio goes with parameters (.npy); speech is its own sound");
+    }
+    let samples = audio::read(&args.input)?.samples;
+    let engine = Engine::open(&args.model, args.engine)?;
+    let converted = engine.convert(&samples, &RunSettings::default())?;
+    parameters::check(converted.parameters.view())
+        .with_context(|| format!("{} gives no mouth", args.input.display()))?;
+    Ok(Performance {
+        tracks: converted.parameters,
+        visemes: Some(converted.visemes),
+        sound: Some(samples),
+    })
 }
 
 /// Ending of a file's name in lower case, without the dot.
@@ -103,4 +149,12 @@ fn ending(path: &Path) -> String {
         .unwrap_or_default()
         .to_string_lossy()
         .to_lowercase()
+}
+
+/// A file's name without its folder.
+pub(crate) fn name(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
 }
