@@ -9,6 +9,7 @@ pub mod audio;
 pub mod cli;
 pub mod corpus;
 pub mod cues;
+pub mod engine;
 pub mod evaluate;
 pub mod export;
 pub mod features;

@@ -1,0 +1,149 @@
+//! Sound to mouth parameters: `fixed` is the very code of the device, `float` the offline arithmetic that it stands for.
+use std::path::Path;
+
+use anyhow::{Context, Result, bail, ensure};
+use lipstream_core::logmath::{FRACTION_BITS, LogProb};
+use lipstream_core::model::Model as Tables;
+use lipstream_core::model::field::{MAGIC, limit};
+use lipstream_core::stream::{FRAMES, Settings, Stream};
+use ndarray::{Array2, Axis};
+
+use crate::export::{ExportSettings, export};
+use crate::files;
+use crate::hmm::convert::{Lag, convert};
+use crate::model::Model;
+use crate::phones::VISEMES;
+use crate::reference::{self, Normalisation};
+
+/// Which arithmetic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Kind {
+    /// The device's own code and tables
+    Fixed,
+    /// 64-bit floats, no beam
+    Float,
+}
+
+/// What may be asked for at run time; None is the model's own.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RunSettings {
+    /// Hops.
+    pub lag: Option<u16>,
+    /// Width of the beam; `fixed` only.
+    pub beam_bits: Option<f64>,
+}
+
+/// A model made ready.
+pub enum Engine {
+    /// Tables that have been checked.
+    Fixed(Vec<u8>),
+    Float(Box<Model>),
+}
+
+/// What a sound became: one row a frame, 100 a second.
+#[derive(Clone, Debug)]
+pub struct Converted {
+    /// `[frames, D]`, in the units of the visual features.
+    pub parameters: Array2<f32>,
+    /// Occupancy of each viseme, `[frames, 13]`.
+    pub visemes: Array2<f32>,
+}
+
+impl Engine {
+    /// Reads tables or a float model. The fixed engine quantises a float model first; the float engine needs one.
+    pub fn open(path: &Path, kind: Kind) -> Result<Self> {
+        let bytes = files::read_bytes(path)?;
+        let is_tables = bytes.starts_with(&MAGIC);
+        match kind {
+            Kind::Fixed if is_tables => {
+                Self::fixed(bytes).with_context(|| format!("{} cannot be used", path.display()))
+            }
+            Kind::Fixed => {
+                let model = Model::read(path)?;
+                Ok(Self::Fixed(export(&model, &ExportSettings::of(&model))?.bytes))
+            }
+            Kind::Float if is_tables => bail!(
+                "{} holds the device's tables; `--engine float` needs the model they were exported from",
+                path.display()
+            ),
+            Kind::Float => Ok(Self::Float(Box::new(Model::read(path)?))),
+        }
+    }
+
+    /// The fixed engine on tables in memory.
+    pub fn fixed(tables: Vec<u8>) -> Result<Self> {
+        Tables::new_checked(&tables)?;
+        Ok(Self::Fixed(tables))
+    }
+
+    /// Converts 16 kHz mono samples.
+    pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
+        match self {
+            Self::Fixed(tables) => convert_fixed(&Tables::new_checked(tables)?, samples, with),
+            Self::Float(model) => {
+                ensure!(
+                    with.beam_bits.is_none(),
+                    "the float engine has no beam: leave --beam out"
+                );
+                let start_mean = std::array::from_fn(|i| model.start_mean[i]);
+                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
+                let lag = with.lag.map_or(model.following.lag, usize::from);
+                let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
+                Ok(Converted { parameters, visemes })
+            }
+        }
+    }
+}
+
+/// Settings for the core, refused in words where it would hold them to its limits.
+pub fn core_settings(with: &RunSettings) -> Result<Settings> {
+    if let Some(lag) = with.lag {
+        ensure!(
+            usize::from(lag) < FRAMES,
+            "a lag of {lag} hops is too long: the device has room for {}",
+            FRAMES - 1
+        );
+    }
+    let beam = with.beam_bits.map(|bits| {
+        let q12 = bits * f64::from(1 << FRACTION_BITS);
+        ensure!(
+            q12 >= 1.0 && q12 <= f64::from(limit::BEAM),
+            "a beam of {bits} bits is out of range"
+        );
+        Ok(LogProb::from_q12(q12 as i32))
+    });
+    Ok(Settings {
+        lag: with.lag,
+        beam: beam.transpose()?,
+        ..Settings::default()
+    })
+}
+
+fn convert_fixed(tables: &Tables, samples: &[i16], with: &RunSettings) -> Result<Converted> {
+    let mut stream = Stream::new(tables, core_settings(with)?);
+    let scales: Vec<f32> = tables.parameter_scales().collect();
+    let mut parameters = Array2::zeros((0, scales.len()));
+    let mut visemes = Array2::zeros((0, VISEMES.len()));
+    let mut rest = samples;
+    loop {
+        let frame = if rest.is_empty() {
+            let Some(frame) = stream.finish() else {
+                break;
+            };
+            Some(frame)
+        } else {
+            let (consumed, frame) = stream.push(rest);
+            rest = &rest[consumed..];
+            frame
+        };
+        let Some(frame) = frame else {
+            continue;
+        };
+        let values = frame.values.iter().zip(&scales);
+        let row: ndarray::Array1<f32> = values.map(|(v, scale)| f32::from(*v) * scale).collect();
+        parameters.push(Axis(0), row.view())?;
+        let weights = frame.viseme_weights.iter().map(|w| f32::from(*w) / 255.0);
+        visemes.push(Axis(0), weights.collect::<ndarray::Array1<f32>>().view())?;
+    }
+    Ok(Converted { parameters, visemes })
+}
