@@ -3,8 +3,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 
+use crate::audio;
+use crate::engine::{Engine, RunSettings};
 use crate::evaluate::ridge::RidgeMap;
 use crate::evaluate::{self, Row};
+use crate::export::{ExportSettings, export};
 use crate::features::{FeatureFolder, Split};
 use crate::files;
 use crate::hmm::convert::{Follower, Lag, convert_with};
@@ -36,6 +39,24 @@ enum SplitName {
     Test,
 }
 
+impl SplitName {
+    fn name(self) -> &'static str {
+        match self {
+            SplitName::Train => "training",
+            SplitName::Val => "validation",
+            SplitName::Test => "test",
+        }
+    }
+}
+
+/// The last part of a path: a report is read on other machines.
+fn short(path: &std::path::Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
 impl From<SplitName> for Split {
     fn from(name: SplitName) -> Split {
         match name {
@@ -58,7 +79,15 @@ pub(crate) fn run(args: Args) -> Result<()> {
         print!("{table}");
     }
     if let Some(path) = &args.output {
-        files::write_bytes(path, table.as_bytes())?;
+        let clips = folder.split(split).filter(|c| c.video_frames > 0).count();
+        let report = format!(
+            "# AMSE and ACC\n\n`lipstream evaluate {} -m {}`: {clips} {} clips at 100 Hz. {}\n\n{table}",
+            short(&args.dir),
+            short(&args.model),
+            args.split.name(),
+            model.provenance
+        );
+        files::write_bytes(path, report.as_bytes())?;
     }
     Ok(())
 }
@@ -81,6 +110,7 @@ fn measure(folder: &FeatureFolder, model: &Model, split: Split) -> Result<Vec<Ro
     let wide = RidgeMap::fit(&train, &validation, (-20..=20).collect())?;
     let live = RidgeMap::fit(&train, &validation, (-30..=8).step_by(2).collect())?;
     let follower = Follower::of_model(model);
+    let device = Engine::fixed(export(model, &ExportSettings::of(model))?.bytes)?;
     let lag = model.following.lag;
     let ahead = model.look_ahead_ms();
     Ok(vec![
@@ -101,6 +131,17 @@ fn measure(folder: &FeatureFolder, model: &Model, split: Split) -> Result<Vec<Ro
             Some(ahead),
             &truths,
             |t| Ok(convert_with(&follower, model, &t.audio, Lag::Frames(lag))?.0),
+        )?,
+        evaluate::score(
+            "ph-vi-chmm + local linear, fixed point, beam and lag",
+            Some(ahead),
+            &truths,
+            |t| {
+                let sound = audio::read(&folder.wav_path(&t.clip.id))?;
+                Ok(device
+                    .convert(&sound.samples, &RunSettings::default())?
+                    .parameters)
+            },
         )?,
     ])
 }
