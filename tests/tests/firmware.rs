@@ -214,5 +214,5 @@ fn files_give_the_hosts_bytes() {
         &host(&model, settings(Profile::Standard), &samples),
     );
     assert_eq!(messages.last(), Some(&ToHost::Status(Status::default())));
-    assert!(said.starts_with("stack "), "{said}");
+    assert!(said.starts_with("stack: "), "{said}");
 }

@@ -79,7 +79,8 @@ unsafe extern "C" {
     static _stack_start: u32;
 }
 
-/// Most bytes of stack in use so far: cortex-m-rt paints the stack before `main`, and what has been used lost its paint.
+/// Most bytes of stack in use since the start or the last [`repaint_stack`]: cortex-m-rt paints the stack before `main`,
+/// and what has been used lost its paint.
 pub(crate) fn stack_used() -> usize {
     let mut lowest = addr_of!(_stack_end);
     let top = addr_of!(_stack_start);
@@ -88,4 +89,18 @@ pub(crate) fn stack_used() -> usize {
         lowest = lowest.wrapping_add(1);
     }
     top as usize - lowest as usize
+}
+
+/// Paints the unused part of the stack again.
+#[inline(never)]
+pub(crate) fn repaint_stack() {
+    let here = 0_u32;
+    // This function's own frame stays well within the margin.
+    let end = addr_of!(here).wrapping_sub(64);
+    let mut word = addr_of!(_stack_end).cast_mut();
+    while word.cast_const() < end {
+        // SAFETY: the words from the stack's end to below this frame are in RAM and nobody's.
+        unsafe { write_volatile(word, cortex_m_rt::STACK_PAINT_VALUE) };
+        word = word.wrapping_add(1);
+    }
 }

@@ -58,9 +58,19 @@ impl Line for Wire {
     }
 }
 
+/// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
+#[inline(never)]
+fn make_app(
+    model: &'static Model<'static>,
+    wire: Wire,
+    counter: Counter,
+) -> &'static mut App<'static, Wire, Counter> {
+    APP.init_with(|| App::new(model, wire, counter))
+}
+
 fn on_uart(model: &'static Model<'static>) -> ! {
     let (sender, receiver) = board::uart0();
-    let app = APP.init_with(|| App::new(model, Wire::Uart(sender), Counter::Running));
+    let app = make_app(model, Wire::Uart(sender), Counter::Running);
     loop {
         app.receive(receiver.get());
     }
@@ -100,7 +110,9 @@ fn on_files(model: &'static Model<'static>) -> ! {
         filled: 0,
     };
     // What is written must not depend on the time that it took.
-    let app = APP.init_with(|| App::new(model, Wire::File(line), Counter::Still));
+    let app = make_app(model, Wire::File(line), Counter::Still);
+    let starting = board::stack_used();
+    board::repaint_stack();
     app.start();
     let mut bytes = [0; 640];
     let mut samples = [0; 320];
@@ -130,7 +142,7 @@ fn on_files(model: &'static Model<'static>) -> ! {
     if let Wire::File(file) = app.line() {
         file.flush();
     }
-    println!("stack {} bytes", board::stack_used());
+    println!("stack: {starting} bytes to start, {} to run", board::stack_used());
     process::exit(0)
 }
 

@@ -37,10 +37,15 @@ pub(crate) fn hello() -> Vec<i16> {
     reader.samples().map(|sample| sample.expect("a sample")).collect()
 }
 
-/// Tables of a random model as large as a real one.
-pub(crate) fn synthetic_tables() -> Vec<u8> {
+/// A random model as large as a real one.
+pub(crate) fn synthetic_model() -> lipstream::model::Model {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(8);
-    let model = synthetic::model(&synthetic::Sizes::full(), 1.0, &mut rng);
+    synthetic::model(&synthetic::Sizes::full(), 1.0, &mut rng)
+}
+
+/// Its tables.
+pub(crate) fn synthetic_tables() -> Vec<u8> {
+    let model = synthetic_model();
     export(&model, &ExportSettings::of(&model))
         .expect("a synthetic model exports")
         .bytes
