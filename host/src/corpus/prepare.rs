@@ -131,6 +131,30 @@ pub(super) struct Prepared {
     sound_stamp: String,
 }
 
+#[cfg(test)]
+impl Prepared {
+    /// A clip with nothing but its files and its length.
+    pub(super) fn bare(source: Source, seconds: f64) -> Self {
+        Self {
+            clip: Clip {
+                id: source.id.clone(),
+                speaker: source.speaker.clone(),
+                split: source.split,
+                audio_frames: 0,
+                video_frames: 0,
+                video_hz: 0.0,
+                words: Vec::new(),
+                phones: Vec::new(),
+            },
+            source,
+            words: BTreeMap::new(),
+            named_sentence: false,
+            seconds,
+            sound_stamp: String::new(),
+        }
+    }
+}
+
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
 pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     let began = std::time::Instant::now();
@@ -159,7 +183,7 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     manifest
         .check()
         .context("the manifest that was made is unsound")?;
-    sweep(&settings.out, &manifest)?;
+    sweep(settings, &manifest)?;
     let text = serde_json::to_vec_pretty(&manifest)?;
     files::write_bytes(&settings.out.join("manifest.json"), &text)?;
     let mut summary = summarise(settings, &found, &clips, manifest);
@@ -413,7 +437,8 @@ fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Norma
 }
 
 /// Removes what earlier runs made for clips that are no longer there.
-fn sweep(out: &Path, manifest: &Manifest) -> Result<()> {
+fn sweep(settings: &Settings, manifest: &Manifest) -> Result<()> {
+    let out = settings.out.as_path();
     let ids: BTreeSet<&str> = manifest.clips.iter().map(|c| c.id.as_str()).collect();
     let seen: BTreeSet<&str> = manifest
         .clips
@@ -425,7 +450,8 @@ fn sweep(out: &Path, manifest: &Manifest) -> Result<()> {
         ("wav", &["wav"][..], &ids),
         ("audio", &["npy"], &ids),
         ("visual", &["npy"], &seen),
-        ("mouths", &["npy"], &seen),
+        // Dear to make: a run without pictures leaves them for the next one with.
+        ("mouths", &["npy"], if settings.audio_only { &ids } else { &seen }),
         ("cache", &["sound", "audio", "mouths", "visual"], &ids),
     ] {
         let Ok(entries) = std::fs::read_dir(out.join(folder)) else {

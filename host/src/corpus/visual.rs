@@ -406,6 +406,84 @@ fn weigh(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::corpus::discover::Source;
+    use crate::features::read_npy;
+
+    /// 20 pictures of 8 × 6: three patterns in changing amounts, on a ground that differs from clip to clip.
+    fn pictures(clip: usize) -> Array4<u8> {
+        Array4::from_shape_fn((20, 6, 8, 3), |(t, y, x, c)| {
+            let phase = (t * (clip + 2)) as f32 * 0.7;
+            let open = phase.sin() * if (2..4).contains(&y) { 40.0 } else { 0.0 };
+            let wide = (1.7 * phase).cos() * if !(2..6).contains(&x) { 25.0 } else { 0.0 };
+            let teeth = (2.3 * phase).sin() * if c == 1 && y == 3 { 30.0 } else { 0.0 };
+            (120.0 + 10.0 * clip as f32 + open + wide + teeth).round() as u8
+        })
+    }
+
+    /// Everything after the tracker, on mouth images as an earlier run would have left them.
+    #[test]
+    fn weights_keep_the_distances_between_the_images_of_a_clip() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings {
+            out: folder.path().join("out"),
+            eigenmouths: 5,
+            ..Settings::default()
+        };
+        let mut clips: Vec<Prepared> = (0..3)
+            .map(|i| {
+                let video = folder.path().join(format!("c{i}.mpg"));
+                std::fs::write(&video, b"already tracked").unwrap();
+                let source = Source {
+                    id: format!("c{i}"),
+                    speaker: "s".into(),
+                    split: if i == 2 { Split::Test } else { Split::Train },
+                    video: Some(video),
+                    sound: None,
+                    labels: Vec::new(),
+                    stem: format!("c{i}"),
+                };
+                Prepared::bare(source, 0.8)
+            })
+            .collect();
+        for (i, prepared) in clips.iter().enumerate() {
+            let face = &faces(&clips).unwrap()[0];
+            let (stamp, done) = tracked(prepared, face, None, &settings.out).unwrap();
+            assert!(done.is_none());
+            write_mouths(&mouths_path(&settings.out, &prepared.clip.id), &pictures(i)).unwrap();
+            let notes = Notes::new(&settings.out, &prepared.clip.id);
+            notes.note_with("mouths", &stamp, "25").unwrap();
+        }
+        let mut skipped = Vec::new();
+        let size = see(&mut clips, &settings, &(), &mut skipped).unwrap();
+        assert_eq!((size, clips.len(), skipped.len()), (5, 3, 0));
+        for (i, prepared) in clips.iter().enumerate() {
+            assert_eq!((prepared.clip.video_frames, prepared.clip.video_hz), (20, 25.0));
+            let weights = read_npy(&settings.out.join(format!("visual/c{i}.npy"))).unwrap();
+            assert_eq!(weights.dim(), (20, 5));
+            let images = pictures(i).mapv(f32::from);
+            for (a, b) in [(0, 1), (3, 11), (19, 4)] {
+                let apart = |d: ndarray::Array1<f32>| d.dot(&d).sqrt();
+                let of = |t: usize| images.index_axis(ndarray::Axis(0), t).flatten().to_owned();
+                let (seen, expected) = (apart(&weights.row(a) - &weights.row(b)), apart(of(a) - of(b)));
+                assert!(
+                    (seen - expected).abs() < 0.03 * expected + 3.0,
+                    "{i}: {seen} {expected}"
+                );
+            }
+            assert!(
+                weights
+                    .mean_axis(ndarray::Axis(0))
+                    .unwrap()
+                    .iter()
+                    .all(|m| m.abs() < 1e-2)
+            );
+        }
+        // A video that changed is not vouched for any more; this one cannot be decoded, and is reported.
+        std::fs::write(folder.path().join("c2.mpg"), b"changed, and no video").unwrap();
+        assert_eq!(see(&mut clips, &settings, &(), &mut skipped).unwrap(), 5);
+        assert_eq!((clips.len(), skipped.len()), (2, 1));
+        assert!(skipped[0].path.ends_with("c2.mpg"), "{}", skipped[0].path);
+    }
 
     #[test]
     fn resampling_keeps_planes_and_their_slope() {
