@@ -20,6 +20,20 @@ fn copy(from: &Path, to: &Path, names: impl Iterator<Item = String>) {
     }
 }
 
+/// Length of the longest common subsequence.
+fn common(a: &[&str], b: &[&str]) -> usize {
+    let mut row = vec![0; b.len() + 1];
+    for x in a {
+        let mut diagonal = 0;
+        for (j, y) in b.iter().enumerate() {
+            let above = row[j + 1];
+            row[j + 1] = if x == y { diagonal + 1 } else { above.max(row[j]) };
+            diagonal = above;
+        }
+    }
+    row[b.len()]
+}
+
 #[test]
 fn timit_sentences() {
     let Some(shared) = shared() else { return };
@@ -75,15 +89,13 @@ fn timit_sentences() {
             .iter()
             .flat_map(|w| w.pronunciations[0].iter().map(String::as_str))
             .collect();
-        let consonants = |phones: &[&str]| {
-            let count = |p: &str| phones.iter().filter(|q| **q == p).count() as f64;
-            ["s", "z", "sh", "k", "g", "w", "m", "l", "r", "dh"]
-                .map(count)
-                .iter()
-                .sum::<f64>()
-        };
-        let ratio = consonants(&heard) / consonants(&said);
-        assert!((0.8..1.25).contains(&ratio), "{}: {ratio}", clip.id);
+        let share = common(&heard, &said) as f64 / said.len() as f64;
+        println!(
+            "{}: {:.0} % of the dictionary's phones were heard",
+            clip.id,
+            100.0 * share
+        );
+        assert!(share > 0.55, "{}: {share}", clip.id);
     }
 }
 
