@@ -49,11 +49,14 @@ impl TensorsBuilder {
 
 impl Tensors {
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = files::read_bytes(path)?;
-        let name = path.display().to_string();
+        Self::parse(&files::read_bytes(path)?, &path.display().to_string())
+    }
+
+    /// A file's bytes; `name` says in errors where they are from.
+    pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
         let parsed =
-            SafeTensors::deserialize(&bytes).with_context(|| format!("{name} is no safetensors file"))?;
-        let (_, header) = SafeTensors::read_metadata(&bytes)?;
+            SafeTensors::deserialize(bytes).with_context(|| format!("{name} is no safetensors file"))?;
+        let (_, header) = SafeTensors::read_metadata(bytes)?;
         let note = header
             .metadata()
             .as_ref()
@@ -79,7 +82,7 @@ impl Tensors {
             arrays.insert(key, (view.shape().to_vec(), values));
         }
         Ok(Self {
-            path: name,
+            path: name.to_owned(),
             arrays,
             notes,
         })

@@ -93,7 +93,7 @@ pub struct Cue {
 
 /// ln-weight that a change of shape must gain: a shape has to be clearly likelier for some frames to be shown, so
 /// that a drawn mouth does not flutter.
-const CHANGE_COST: f32 = 6.0;
+const CHANGE_COST: f32 = 3.0;
 /// Weights below this are as good as none.
 const FLOOR: f32 = 1e-3;
 
