@@ -68,11 +68,8 @@ impl Link {
         for &byte in bytes {
             match self.receiver.push(byte) {
                 None => {}
-                Some(Ok(message)) => {
-                    if self.accept(&message)? {
-                        on_message(message);
-                    }
-                }
+                Some(Ok(message)) if self.accept(&message)? => on_message(message),
+                Some(Ok(_)) => {}
                 Some(Err(WireError::Protocol { theirs })) => return Err(LinkError::Protocol { theirs }),
                 Some(Err(_)) => self.losses.damaged += 1,
             }

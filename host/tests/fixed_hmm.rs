@@ -146,7 +146,7 @@ fn densities_agree_with_the_twin() {
                 }
             }
         }
-        let rms = (square / f64::from(n)).sqrt();
+        let rms = (square / n).sqrt();
         println!("K = {densities}: log likelihood error rms {rms:.3}, max {worst:.3} bits");
         assert!(rms < 0.25 && worst < 1.5, "rms {rms}, max {worst} bits");
     }

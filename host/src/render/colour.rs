@@ -14,7 +14,7 @@ pub struct Picture {
 
 /// Rows of interleaved R, G, B bytes to a picture. Width and height are even.
 pub fn from_rgb(rgb: &[u8], width: usize, height: usize) -> Picture {
-    debug_assert!(width % 2 == 0 && height % 2 == 0 && rgb.len() == width * height * 3);
+    debug_assert!(width.is_multiple_of(2) && height.is_multiple_of(2) && rgb.len() == width * height * 3);
     let luma = |r: f32, g: f32, b: f32| 16.0 + (65.481 * r + 128.553 * g + 24.966 * b) / 255.0;
     let y = rgb
         .chunks_exact(3)
