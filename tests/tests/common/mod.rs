@@ -4,12 +4,14 @@
 use std::path::{Path, PathBuf};
 
 use lipstream::export::{ExportSettings, export};
+use lipstream::render::drawn;
 use lipstream::synthetic;
 use lipstream_core::model::Model;
 use lipstream_core::parameters::ParameterFrame;
 use lipstream_core::stream::{Settings, Stream};
 use rand::SeedableRng;
 
+pub(crate) mod program;
 pub(crate) mod qemu;
 
 /// The repository's top folder.
@@ -37,10 +39,13 @@ pub(crate) fn hello() -> Vec<i16> {
     reader.samples().map(|sample| sample.expect("a sample")).collect()
 }
 
-/// A random model as large as a real one.
+/// A random model as large as a real one, with a drawn mouth.
 pub(crate) fn synthetic_model() -> lipstream::model::Model {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(8);
-    synthetic::model(&synthetic::Sizes::full(), 1.0, &mut rng)
+    let sizes = synthetic::Sizes::full();
+    let mut model = synthetic::model(&sizes, 1.0, &mut rng);
+    model.mouth = Some(drawn::space(sizes.parameters));
+    model
 }
 
 /// Its tables.

@@ -1,0 +1,231 @@
+//! The command line, end to end, as a user meets it.
+mod common;
+
+use std::path::Path;
+
+use common::program::{refuse, run, succeed};
+use lipstream_core::model::Model;
+use lipstream_core::stream::Settings;
+
+const COMMANDS: [&str; 9] = [
+    "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "render", "train",
+];
+
+fn path(path: &Path) -> String {
+    path.to_str().expect("an ordinary name").to_owned()
+}
+
+fn hello() -> String {
+    path(&common::root().join("data/hello.wav"))
+}
+
+/// Names of the files in `folder`, sorted.
+fn files(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> = folder
+        .read_dir()
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn every_command_explains_itself() {
+    let folder = common::folder("cli-help");
+    let overview = succeed(&folder, &["--help"]);
+    for command in COMMANDS {
+        assert!(
+            overview.contains(&format!("\n  {command} ")),
+            "{command} is not in:\n{overview}"
+        );
+        let help = succeed(&folder, &[command, "--help"]);
+        assert!(help.contains(&format!("Usage: lipstream {command}")), "{help}");
+    }
+    let listed = overview.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let listed: Vec<&str> = listed
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|name| *name != "help")
+        .collect();
+    assert_eq!(listed, COMMANDS, "COMMANDS is not what the program offers");
+    assert_eq!(
+        succeed(&folder, &["--version"]).trim(),
+        concat!("lipstream ", env!("CARGO_PKG_VERSION"))
+    );
+}
+
+#[test]
+fn wrong_words_are_refused() {
+    let folder = common::folder("cli-words");
+    for words in [&[][..], &["speak"], &["convert", "--loud"], &["export"]] {
+        let output = run(&folder, words);
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{words:?}: {error}");
+        assert!(error.contains("Usage: lipstream"), "{words:?}: {error}");
+    }
+}
+
+/// What is not there is named, in one line, with exit code 1, and nothing is written.
+#[test]
+fn missing_files_are_named() {
+    let folder = common::folder("cli-missing");
+    let hello = hello();
+    for words in [
+        &["convert", "missing", "-m", "missing", "-o", "out.npy"][..],
+        &["convert", &hello, "-m", "missing", "-o", "out.npy"],
+        &["cues", "missing", "-m", "missing", "-o", "out.tsv"],
+        &["cues", &hello, "-m", "missing", "-o", "out.tsv"],
+        &["demo", "-m", "missing"],
+        &["evaluate", "missing", "-m", "missing"],
+        &["export", "missing", "-o", "out.tables"],
+        &["features", "missing", "-o", "out.npy"],
+        &["prepare", "missing", "-o", "out"],
+        &["render", "missing.npy", "-m", "missing", "-o", "out.mp4"],
+        &["train", "missing", "-o", "out.safetensors"],
+    ] {
+        let error = refuse(&folder, words);
+        assert!(error.contains("missing"), "{words:?}: {error}");
+    }
+    assert_eq!(files(&folder), [""; 0]);
+}
+
+/// Files that are not what they are taken for: named, in one line, and nothing is written.
+#[test]
+fn wrong_files_are_named() {
+    let folder = common::folder("cli-wrong");
+    let hello = hello();
+    let model = common::synthetic_model();
+    model.write(&folder.join("model.safetensors")).unwrap();
+    let tables = common::synthetic_tables();
+    std::fs::write(folder.join("empty.wav"), []).unwrap();
+    std::fs::write(folder.join("text.wav"), "This is no sound.\n".repeat(100)).unwrap();
+    std::fs::write(folder.join("empty.safetensors"), []).unwrap();
+    let whole = std::fs::read(folder.join("model.safetensors")).unwrap();
+    std::fs::write(folder.join("cut.safetensors"), &whole[..whole.len() / 2]).unwrap();
+    std::fs::write(folder.join("cut.tables"), &tables[..1000]).unwrap();
+    let mut damaged = tables;
+    let middle = damaged.len() / 2;
+    damaged[middle] ^= 1;
+    std::fs::write(folder.join("damaged.tables"), damaged).unwrap();
+    std::fs::write(folder.join("wrong.npy"), "not numpy").unwrap();
+
+    let before = files(&folder);
+    for words in [
+        &["convert", "empty.wav", "-m", "model.safetensors", "-o", "out.npy"][..],
+        &["convert", "text.wav", "-m", "model.safetensors", "-o", "out.npy"],
+        &["convert", &hello, "-m", "empty.safetensors", "-o", "out.npy"],
+        &["convert", &hello, "-m", "cut.safetensors", "-o", "out.npy"],
+        &["convert", &hello, "-m", "cut.tables", "-o", "out.npy"],
+        &["convert", &hello, "-m", "damaged.tables", "-o", "out.npy"],
+        &["cues", "text.wav", "-m", "model.safetensors", "-o", "out.tsv"],
+        &["demo", "-m", "cut.safetensors"],
+        &["demo", "--wav", "text.wav", "-m", "model.safetensors"],
+        &["export", "cut.safetensors", "-o", "out.tables"],
+        &["export", "text.wav", "-o", "out.tables"],
+        &["features", "text.wav", "-o", "out.npy"],
+        &["features", "empty.wav", "-o", "out.npy"],
+        &["render", "wrong.npy", "-m", "model.safetensors", "-o", "out.mp4"],
+    ] {
+        let error = refuse(&folder, words);
+        let culprit = words.iter().find(|word| {
+            ["empty.", "text.", "cut.", "damaged.", "wrong."]
+                .iter()
+                .any(|start| word.starts_with(start))
+        });
+        assert!(error.contains(culprit.unwrap()), "{words:?}: {error}");
+        assert_eq!(files(&folder), before, "{words:?} left a file");
+    }
+}
+
+/// `export`, then `convert` with the tables: the core's numbers in the model's units.
+#[test]
+fn export_and_convert() {
+    let folder = common::folder("cli-convert");
+    let hello = hello();
+    let float = common::synthetic_model();
+    float.write(&folder.join("model.safetensors")).unwrap();
+    succeed(&folder, &["export", "model.safetensors", "-o", "model.tables"]);
+    let tables = std::fs::read(folder.join("model.tables")).unwrap();
+    assert!(
+        tables == common::synthetic_tables(),
+        "the program exports other tables than the library"
+    );
+
+    let model = Model::new_checked(&tables).unwrap();
+    let frames = common::host_frames(&model, Settings::default(), &common::hello());
+    let scales: Vec<f32> = model.parameter_scales().collect();
+    for source in ["model.tables", "model.safetensors"] {
+        succeed(&folder, &["convert", &hello, "-m", source, "-o", "out.npy"]);
+        let converted: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.join("out.npy")).unwrap();
+        assert_eq!(converted.dim(), (frames.len(), scales.len()));
+        for (row, frame) in converted.outer_iter().zip(&frames) {
+            for ((value, units), scale) in row.iter().zip(&frame.values).zip(&scales) {
+                let expected = f32::from(*units) * scale;
+                assert!(
+                    (value - expected).abs() <= expected.abs() * 1e-6,
+                    "{value} {expected}"
+                );
+            }
+        }
+    }
+    // The flash limit is kept.
+    let error = refuse(
+        &folder,
+        &[
+            "export",
+            "model.safetensors",
+            "-o",
+            "big.tables",
+            "--flash",
+            "100",
+        ],
+    );
+    assert!(error.contains("100"), "{error}");
+    assert!(!folder.join("big.tables").exists());
+}
+
+/// The demo without ffmpeg, away from the repository: a video with sound, a page that needs nothing else, cues.
+#[test]
+fn demo_stands_alone() {
+    let folder = common::folder("cli-demo");
+    common::synthetic_model()
+        .write(&folder.join("model.safetensors"))
+        .unwrap();
+    let said = succeed(&folder, &["demo", "-m", "model.safetensors"]);
+    let out = folder.join("out");
+    let video = std::fs::read(out.join("hello.mp4")).unwrap();
+    assert_eq!(&video[4..8], b"ftyp");
+    for part in [b"avc1", b"mp4a"] {
+        assert!(
+            video.windows(4).any(|bytes| bytes == part),
+            "no {} in the video",
+            part.escape_ascii()
+        );
+    }
+    let page = std::fs::read_to_string(out.join("hello.html")).unwrap();
+    assert!(
+        page.contains("data:video/mp4;base64,"),
+        "the page carries no video"
+    );
+    for outside in [
+        "src=\"http",
+        "href=\"http",
+        "src=\"/",
+        "url(http",
+        "@import",
+        "fetch(",
+    ] {
+        assert!(!page.contains(outside), "the page needs {outside}");
+    }
+    let files = files(&out);
+    assert!(files.len() >= 3);
+    for file in files {
+        let place = Path::new("out").join(file);
+        assert!(
+            said.contains(&path(&place)),
+            "{} is not in:\n{said}",
+            place.display()
+        );
+    }
+}
