@@ -200,5 +200,24 @@ fn useless_input_ends_with_one_line_and_a_failure() {
         "no feature folder",
     );
     assert!(elsewhere.join("diary.txt").exists());
+
+    // A video where there is no ffmpeg: said once, before anything is done.
+    std::fs::write(input.join("b.mp4"), b"").unwrap();
+    let ran = Command::new(env!("CARGO_BIN_EXE_lipstream"))
+        .arg("prepare")
+        .args(arguments)
+        .env("PATH", &elsewhere)
+        .output()
+        .unwrap();
+    let complaint = text(&ran.stderr);
+    assert!(
+        !ran.status.success() && complaint.lines().count() == 1,
+        "{complaint}"
+    );
+    assert!(
+        complaint.contains("ffmpeg") && complaint.contains("install"),
+        "{complaint}"
+    );
+    std::fs::remove_file(input.join("b.mp4")).unwrap();
     assert!(run(&arguments).status.success());
 }

@@ -20,7 +20,7 @@ use crate::features::{
 };
 use crate::phones::Phone;
 use crate::reference::{self, Normalisation, SpeechMean};
-use crate::{audio, files};
+use crate::{audio, files, video};
 
 /// Shorter sounds (s) are no utterances: nothing would be left between the edges of Δ and ΔΔ.
 const SHORTEST_S: f64 = 0.15;
@@ -160,6 +160,10 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
+    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_wav(c.sound_path());
+    if found.clips.iter().any(decodes) {
+        video::available()?;
+    }
     claim(&settings.out, settings.fresh)?;
 
     let mut skipped = Vec::new();
@@ -371,15 +375,18 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     }
     notes.forget("sound");
     let from = source.sound_path();
-    let is_wav = from.extension().is_some_and(|e| e.eq_ignore_ascii_case("wav"));
-    let samples = if is_wav {
+    let samples = if is_wav(from) {
         audio::read(from)?.samples
     } else {
-        audio::decode(&crate::video::decode_sound(from)?)?.samples
+        audio::decode(&video::decode_sound(from)?)?.samples
     };
     write_wav(&path, &samples)?;
     notes.note("sound", sound_stamp)?;
     Ok(samples)
+}
+
+fn is_wav(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("wav"))
 }
 
 /// 16 kHz mono i16.

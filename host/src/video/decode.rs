@@ -293,6 +293,19 @@ fn read_ppm_header(from: &mut impl Read) -> Result<Option<(usize, usize)>> {
     }
 }
 
+/// Whether video can be read here at all; the error says how to get what is missing.
+pub fn available() -> Result<()> {
+    for name in ["ffmpeg", "ffprobe"] {
+        let ran = program(name)
+            .arg("-version")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        ran.map_err(|e| not_started(name, e))?;
+    }
+    Ok(())
+}
+
 fn program(name: &str) -> Command {
     let mut command = Command::new(name);
     command.stdin(Stdio::null());

@@ -11,6 +11,6 @@ mod tracker;
 
 pub use affine::Affine;
 pub use colour::ChannelMap;
-pub use decode::{Frames, MAX_LINES, decode, decode_sound};
+pub use decode::{Frames, MAX_LINES, available, decode, decode_sound};
 pub use eigen::{MouthSamples, eigenmouths};
 pub use tracker::{MouthTrack, Tracker};
