@@ -7,7 +7,7 @@ use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::corpus::discover::Options;
-use crate::corpus::prepare::SplitSummary;
+use crate::corpus::summary::SplitSummary;
 use crate::corpus::{self, Settings, Summary, Watch};
 
 /// Turn video, sound and labels into features and eigenmouths

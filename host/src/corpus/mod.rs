@@ -6,6 +6,8 @@ pub mod phoneset;
 pub mod prepare;
 pub mod pronounce;
 mod stamp;
+pub mod summary;
 mod visual;
 
-pub use prepare::{Settings, Summary, Watch, prepare};
+pub use prepare::{Settings, Watch, prepare};
+pub use summary::Summary;
