@@ -8,15 +8,16 @@ use lipstream_core::SAMPLE_RATE_HZ;
 use super::render::name;
 use crate::cues::{self, Format};
 use crate::engine::{Converted, Engine, Kind, RunSettings};
-use crate::model::Model;
 use crate::mouth::MouthSpace;
 use crate::render::{self, Settings, page};
+use crate::tensors::Tensors;
 use crate::{audio, files};
 
 /// Speech made with flite, see data/README.md.
 const HELLO: &[u8] = include_bytes!("../../../data/hello.wav");
-/// The shipped model, see models/README.md.
-const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../models/grid-s1.safetensors");
+/// The shipped model, see models/README.md: what is drawn with, and what converts.
+const MODEL: &[u8] = include_bytes!("../../../models/grid-s1.safetensors");
+const TABLES: &[u8] = include_bytes!("../../../models/grid-s1.tables");
 
 /// Run the shipped model on the shipped speech: video, page, cues
 #[derive(Debug, clap::Args)]
@@ -33,18 +34,24 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let path = args.model.as_deref().unwrap_or(Path::new(MODEL));
     let (sound, wav_name) = match &args.wav {
         Some(wav) => (audio::read(wav)?.samples, name(wav)),
         None => (audio::decode(HELLO)?.samples, "hello.wav".to_owned()),
     };
-    let model = Model::read(path)?;
-    let Some(space) = &model.mouth else {
-        bail!("{} has no mouth, there is nothing to draw", path.display());
+    let (tensors, engine) = match &args.model {
+        Some(path) => (Tensors::read(path)?, Engine::open(path, Kind::Fixed)?),
+        None => (
+            Tensors::parse(MODEL, "the shipped model")?,
+            Engine::fixed(TABLES.to_vec())?,
+        ),
     };
-    let converted = Engine::open(path, Kind::Fixed)?.convert(&sound, &RunSettings::default())?;
+    if !tensors.has("mouth.mean") {
+        bail!("the model has no mouth, there is nothing to draw");
+    }
+    let space = MouthSpace::load(&tensors)?;
+    let converted = engine.convert(&sound, &RunSettings::default())?;
     let folder = folder(args.output.as_deref())?;
-    write(&folder, &wav_name, &sound, space, &converted)
+    write(&folder, &wav_name, &sound, &space, &converted)
 }
 
 /// Makes the folder; one that was not asked for by name may be a temporary one.
