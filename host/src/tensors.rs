@@ -54,6 +54,11 @@ impl Tensors {
 
     /// A file's bytes; `name` says in errors where they are from.
     pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
+        if bytes.starts_with(&lipstream_core::model::field::MAGIC) {
+            bail!(
+                "{name} holds the device's tables; give the model (.safetensors) that they were exported from"
+            );
+        }
         let parsed =
             SafeTensors::deserialize(bytes).with_context(|| format!("{name} is no safetensors file"))?;
         let (_, header) = SafeTensors::read_metadata(bytes)?;
