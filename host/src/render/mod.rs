@@ -1,7 +1,8 @@
 //! Parameters to a moving mouth: pictures (eq. 16 of X&L), video with sound, a page.
 //!
-//! Time: parameters of frame t belong to sample 160·t + 200 of the sound; picture n is seen from n/fps seconds
-//! on, as picture n of the recordings that the mouth was learnt from, so it shows the parameters of that moment.
+//! Time: parameters of frame t belong to sample 160·t + 200 of the sound; picture n is on the
+//! screen from n/fps to (n + 1)/fps seconds and shows the parameters of the middle of that time, as training takes picture n
+//! of a recording for the middle of its exposure.
 use anyhow::{Result, bail};
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{Array2, ArrayView2};
@@ -77,12 +78,12 @@ pub fn samples_covered(frames: usize) -> usize {
     }
 }
 
-/// Rows of `tracks`, at 100 Hz, as they are when each of `pictures` pictures is shown; linear in between.
+/// Rows of `tracks`, at 100 Hz, as they are in the middle of each of `pictures` pictures' time; linear in between.
 pub fn at_pictures(tracks: ArrayView2<f32>, fps: u32, pictures: usize) -> Array2<f32> {
     let last = tracks.nrows().saturating_sub(1) as f32;
     let mut out = Array2::zeros((pictures, tracks.ncols()));
     for n in 0..pictures {
-        let sample = n as f64 * f64::from(SAMPLE_RATE_HZ) / f64::from(fps);
+        let sample = (n as f64 + 0.5) * f64::from(SAMPLE_RATE_HZ) / f64::from(fps);
         let frame = (sample - FRAME_SAMPLES as f64 / 2.0) / HOP_SAMPLES as f64;
         let frame = (frame as f32).clamp(0.0, last);
         let (before, part) = (frame.floor() as usize, frame.fract());

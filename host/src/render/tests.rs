@@ -273,12 +273,12 @@ fn other_formats_need_ffmpeg_and_say_so() {
 
 #[test]
 fn a_ramp_is_read_at_the_right_time() {
-    // Parameter = the sample that the frame belongs to, so picture n must read 16000·n/fps.
+    // Parameter = the sample that the frame belongs to, so picture n must read 16000·(n + ½)/fps.
     let ramp = Array2::from_shape_fn((300, 1), |(t, _)| (160 * t + 200) as f32);
     for fps in [25, 30, 50] {
         let seen = at_pictures(ramp.view(), fps, 50);
         for (n, value) in seen.column(0).iter().enumerate().skip(1) {
-            let want = 16_000.0 * n as f32 / fps as f32;
+            let want = 16_000.0 * (n as f32 + 0.5) / fps as f32;
             assert!((value - want).abs() < 0.5, "{fps} {n}: {value} {want}");
         }
     }
