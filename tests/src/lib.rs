@@ -5,6 +5,7 @@
 #![no_std]
 
 pub mod random;
+pub mod stream;
 pub mod wire;
 
 /// Calls the macro `$each` with every case, grouped by module.
@@ -12,6 +13,14 @@ pub mod wire;
 macro_rules! cases {
     ($each:ident) => {
         $each! {
+            stream {
+                same_bytes_everywhere,
+                cuts_do_not_matter,
+                a_reset_stream_is_a_new_one,
+                a_sound_shorter_than_a_window_gives_nothing,
+                extremes,
+                the_vector_moves,
+            }
             wire {
                 reference_crc_check_value,
                 encodes_as_specified,

@@ -1,0 +1,195 @@
+//! The whole stream, samples to parameter frames: the same bytes on the host and in QEMU.
+//!
+//! The model is small and random, the sound is made of integers; `cargo run -p lipstream-tests --example bless_vectors`
+//! writes both vectors anew.
+use lipstream_core::model::Model;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{Settings, Stream};
+
+use crate::random::Random;
+
+/// Tables of `lipstream::synthetic` with `Sizes::small`.
+pub static TABLES: &[u8] = include_bytes!("../vectors/model/small.tables");
+/// Every frame of [`Sound`], each written by [`write`].
+pub static FRAMES: &[u8] = include_bytes!("../vectors/stream/small.frames");
+
+/// Samples of the sound: 1.2 s.
+pub const SOUND_LENGTH: usize = 19_200;
+
+/// Noise through a resonance that moves every 1,280 samples, with pauses and clipping.
+pub struct Sound {
+    random: Random,
+    at: usize,
+    before: [i32; 2],
+}
+
+impl Sound {
+    pub const fn new() -> Self {
+        Self {
+            random: Random::new(77),
+            at: 0,
+            before: [0; 2],
+        }
+    }
+}
+
+impl Default for Sound {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Iterator for Sound {
+    type Item = i16;
+
+    fn next(&mut self) -> Option<i16> {
+        if self.at == SOUND_LENGTH {
+            return None;
+        }
+        let part = self.at / 1_280;
+        self.at += 1;
+        let loud = [0, 300, 2_000, 60, 9_000][part % 5];
+        let noise = self.random.below(2 * loud + 1) as i32 - loud as i32;
+        // y = x + 2r·cos φ·y₁ − r²·y₂, r² = 0.9; 2r·cos φ in 1/64.
+        let turn = [110, 60, -20, 95, 20, -80, 118][part % 7];
+        let y = noise + (turn * self.before[0]) / 64 - (9 * self.before[1]) / 10;
+        let y = y.clamp(-60_000, 60_000);
+        self.before = [y, self.before[0]];
+        Some(y.clamp(-32_768, 32_767) as i16)
+    }
+}
+
+/// One frame as bytes, little-endian: frame, sample, values, viseme weights.
+pub fn write(frame: &ParameterFrame, mut byte: impl FnMut(u8)) {
+    let words = [frame.frame, frame.sample].into_iter().flat_map(u32::to_le_bytes);
+    let values = frame.values.iter().flat_map(|v| v.to_le_bytes());
+    words
+        .chain(values)
+        .chain(frame.viseme_weights)
+        .for_each(&mut byte);
+}
+
+/// Runs `sound` through `stream`, `cut` samples at a time, at most 1,024.
+pub fn run(
+    stream: &mut Stream,
+    mut sound: impl Iterator<Item = i16>,
+    cut: usize,
+    mut on_frame: impl FnMut(&ParameterFrame),
+) {
+    let mut piece = [0; 1024];
+    loop {
+        let mut filled = 0;
+        for (to, from) in piece[..cut].iter_mut().zip(&mut sound) {
+            *to = from;
+            filled += 1;
+        }
+        if filled == 0 {
+            break;
+        }
+        let mut rest = &piece[..filled];
+        while !rest.is_empty() {
+            let (consumed, frame) = stream.push(rest);
+            rest = &rest[consumed..];
+            frame.iter().for_each(&mut on_frame);
+        }
+        if filled < cut {
+            break;
+        }
+    }
+    while let Some(frame) = stream.finish() {
+        on_frame(&frame);
+    }
+}
+
+/// Checks that `sound` gives the frames of the vector.
+fn check(stream: &mut Stream, cut: usize) {
+    let mut expected = FRAMES.iter();
+    run(stream, Sound::new(), cut, |frame| {
+        write(frame, |byte| {
+            let want = expected.next();
+            assert_eq!(want, Some(&byte), "frame {}, cut {cut}", frame.frame);
+        });
+    });
+    assert_eq!(expected.next(), None, "frames are missing, cut {cut}");
+}
+
+pub fn same_bytes_everywhere() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    check(&mut Stream::new(&model, Settings::default()), 160);
+}
+
+pub fn cuts_do_not_matter() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    for cut in [1, 7, 399, 400, 1024] {
+        check(&mut Stream::new(&model, Settings::default()), cut);
+    }
+}
+
+pub fn a_reset_stream_is_a_new_one() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let mut stream = Stream::new(&model, Settings::default());
+    run(&mut stream, Sound::new().skip(5_000).take(7_000), 333, |_| {});
+    // Samples after `finish` start a new stream by themselves.
+    check(&mut stream, 160);
+    stream.push(&[9_999; 400]);
+    stream.reset();
+    check(&mut stream, 160);
+}
+
+pub fn a_sound_shorter_than_a_window_gives_nothing() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let mut stream = Stream::new(&model, Settings::default());
+    for length in [0, 1, 399] {
+        run(&mut stream, Sound::new().take(length), 160, |frame| {
+            panic!("{frame:?}")
+        });
+        stream.reset();
+    }
+    let mut frames = 0;
+    run(&mut stream, Sound::new().take(400), 160, |_| frames += 1);
+    assert_eq!(frames, 1);
+}
+
+/// Silence, full scale and impulses: every frame comes, weights add up.
+pub fn extremes() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let sounds: [fn(usize) -> i16; 5] = [
+        |_| 0,
+        |_| i16::MAX,
+        |n| if n.is_multiple_of(2) { i16::MAX } else { i16::MIN },
+        |n| {
+            if (n / 40).is_multiple_of(2) {
+                i16::MAX
+            } else {
+                i16::MIN
+            }
+        },
+        |n| if n % 1_000 == 999 { i16::MIN } else { 0 },
+    ];
+    let mut stream = Stream::new(&model, Settings::default());
+    for (i, sound) in sounds.into_iter().enumerate() {
+        let mut frames = 0;
+        run(&mut stream, (0..400 + 60 * 160).map(sound), 160, |frame| {
+            assert_eq!(frame.frame, frames);
+            frames += 1;
+            let sum: u32 = frame.viseme_weights.iter().map(|w| u32::from(*w)).sum();
+            assert!(sum.abs_diff(255) <= 13, "sound {i}: weights add up to {sum}");
+        });
+        assert_eq!(frames, 61, "sound {i}");
+    }
+}
+
+/// The vector says something: values and visemes change.
+pub fn the_vector_moves() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let mut stream = Stream::new(&model, Settings::default());
+    let mut last = 0;
+    let mut changes = 0;
+    run(&mut stream, Sound::new(), 160, |frame| {
+        let weights = frame.viseme_weights.iter().enumerate();
+        let best = weights.max_by_key(|w| *w.1).map_or(0, |w| w.0);
+        changes += u32::from(best != last);
+        last = best;
+    });
+    assert!(changes > 5, "{changes} changes of viseme");
+}
