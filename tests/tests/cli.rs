@@ -185,14 +185,23 @@ fn export_and_convert() {
     assert!(!folder.join("big.tables").exists());
 }
 
+/// The shipped tables are the shipped model's.
+#[test]
+fn shipped_tables_are_up_to_date() {
+    let folder = common::folder("cli-shipped");
+    let model = path(&common::root().join("models/grid-s1.safetensors"));
+    succeed(&folder, &["export", &model, "-o", "grid-s1.tables"]);
+    assert!(
+        std::fs::read(folder.join("grid-s1.tables")).unwrap() == common::shipped_tables(),
+        "lipstream export models/grid-s1.safetensors -o models/grid-s1.tables"
+    );
+}
+
 /// The demo without ffmpeg, away from the repository: a video with sound, a page that needs nothing else, cues.
 #[test]
 fn demo_stands_alone() {
     let folder = common::folder("cli-demo");
-    common::synthetic_model()
-        .write(&folder.join("model.safetensors"))
-        .unwrap();
-    let said = succeed(&folder, &["demo", "-m", "model.safetensors"]);
+    let said = succeed(&folder, &["demo"]);
     let out = folder.join("out");
     let video = std::fs::read(out.join("hello.mp4")).unwrap();
     assert_eq!(&video[4..8], b"ftyp");

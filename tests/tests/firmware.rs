@@ -17,13 +17,12 @@ struct Firmware {
     tables: Vec<u8>,
 }
 
-/// The firmware with a synthetic model, built once for all tests here.
+/// The firmware as it is shipped, built once for all tests here.
 fn firmware() -> &'static Firmware {
     static FIRMWARE: OnceLock<Firmware> = OnceLock::new();
-    FIRMWARE.get_or_init(|| {
-        let tables = common::synthetic_tables();
-        let program = build_firmware(&common::folder("firmware"), &tables);
-        Firmware { program, tables }
+    FIRMWARE.get_or_init(|| Firmware {
+        program: build_firmware(&common::folder("firmware"), "firmware", None),
+        tables: common::shipped_tables(),
     })
 }
 
@@ -192,11 +191,9 @@ fn damage_on_the_way_to_the_device_is_counted_and_survived() {
     );
 }
 
-#[test]
-fn files_give_the_hosts_bytes() {
-    let firmware = firmware();
+/// Speech, silence, full-scale square wave, noise, speech much too loud: the firmware's bytes are the host's.
+fn check_on_files(name: &str, firmware: &Firmware) {
     let model = Model::new_checked(&firmware.tables).unwrap();
-    // Speech, silence, full-scale square wave, noise, speech much too loud.
     let speech = common::hello();
     let mut samples = speech.clone();
     samples.extend([0; 8000]);
@@ -204,7 +201,7 @@ fn files_give_the_hosts_bytes() {
     let mut random = lipstream_tests::random::Random::new(3);
     samples.extend((0..8000).map(|_| random.next_u32() as i16));
     samples.extend(speech.iter().map(|sample| sample.saturating_mul(20)));
-    let (sent, said) = run_on_file(&firmware.program, &common::folder("firmware-files"), &samples);
+    let (sent, said) = run_on_file(&firmware.program, &common::folder(name), &samples);
     let mut link = Link::new(Some(model.id()));
     let mut messages = Vec::new();
     link.push(&sent, |message| messages.push(message)).unwrap();
@@ -215,4 +212,30 @@ fn files_give_the_hosts_bytes() {
     );
     assert_eq!(messages.last(), Some(&ToHost::Status(Status::default())));
     assert!(said.starts_with("stack: "), "{said}");
+}
+
+#[test]
+fn files_give_the_hosts_bytes() {
+    check_on_files("firmware-files", firmware());
+}
+
+/// Another model, of random numbers, and every overflow and debug assertion of the device's code checked.
+#[test]
+fn random_model_with_every_check() {
+    let tables = common::synthetic_tables();
+    let program = build_firmware(&common::folder("firmware-checked"), "checked", Some(&tables));
+    check_on_files("firmware-checked-files", &Firmware { program, tables });
+}
+
+/// Damaged tables end the program with one line.
+#[test]
+fn damaged_tables_are_refused() {
+    let folder = common::folder("firmware-damaged");
+    let mut tables = common::shipped_tables();
+    let middle = tables.len() / 2;
+    tables[middle] ^= 1;
+    let program = build_firmware(&folder, "firmware", Some(&tables));
+    let said = common::qemu::refuses(&program);
+    assert!(said.starts_with("lipstream: model is damaged"), "{said}");
+    assert_eq!(said.trim_end().lines().count(), 1, "{said}");
 }

@@ -56,6 +56,11 @@ pub(crate) fn synthetic_tables() -> Vec<u8> {
         .bytes
 }
 
+/// Tables of the shipped model.
+pub(crate) fn shipped_tables() -> Vec<u8> {
+    std::fs::read(root().join("models/grid-s1.tables")).expect("the shipped tables")
+}
+
 /// What the core gives on the host.
 pub(crate) fn host_frames(model: &Model, settings: Settings, mut samples: &[i16]) -> Vec<ParameterFrame> {
     let mut stream = Stream::new(model, settings);

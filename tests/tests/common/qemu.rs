@@ -3,6 +3,7 @@ use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use lipstream::link::Link;
@@ -11,43 +12,40 @@ use lipstream_core::wire::{MAX_ENCODED, Pcm, ToDevice, ToHost, encode};
 /// Longest that anything may take; for a machine that is busy with other things.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// Builds the firmware with these tables; gives the program.
-pub(crate) fn build_firmware(folder: &Path, tables: &[u8]) -> PathBuf {
-    let tables_path = folder.join("model.tables");
-    std::fs::write(&tables_path, tables).expect("write the tables");
+/// Builds the firmware in a Cargo profile, with these tables or the shipped ones; puts the program into `folder`.
+pub(crate) fn build_firmware(folder: &Path, profile: &str, tables: Option<&[u8]>) -> PathBuf {
+    /// Both builds would leave their program at the same place.
+    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+    let _guard = ONE_AT_A_TIME.lock().expect("no build before this one failed");
     let target = Path::new(env!("CARGO_TARGET_TMPDIR"))
         .parent()
         .expect("inside the target folder");
-    let output = Command::new(env!("CARGO"))
+    let mut cargo = Command::new(env!("CARGO"));
+    cargo
         .current_dir(super::root())
-        .args([
-            "build",
-            "--locked",
-            "--package",
-            "lipstream-firmware",
-            "--features",
-            "mps2-an386",
-        ])
-        .args([
-            "--bin",
-            "mps2-an386",
-            "--profile",
-            "firmware",
-            "--target",
-            "thumbv7em-none-eabihf",
-        ])
+        .args(["build", "--locked", "--package", "lipstream-firmware"])
+        .args(["--features", "mps2-an386", "--bin", "mps2-an386"])
+        .args(["--profile", profile, "--target", "thumbv7em-none-eabihf"])
         .arg("--target-dir")
         .arg(target)
-        .env("LIPSTREAM_TABLES", &tables_path)
-        .output()
-        .expect("run cargo");
+        .env_remove("LIPSTREAM_TABLES");
+    if let Some(tables) = tables {
+        let path = folder.join("model.tables");
+        std::fs::write(&path, tables).expect("write the tables");
+        cargo.env("LIPSTREAM_TABLES", path);
+    }
+    let output = cargo.output().expect("run cargo");
     assert!(
         output.status.success(),
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
     let program = folder.join("mps2-an386");
-    std::fs::copy(target.join("thumbv7em-none-eabihf/firmware/mps2-an386"), &program).expect("the program");
+    let built = target
+        .join("thumbv7em-none-eabihf")
+        .join(profile)
+        .join("mps2-an386");
+    std::fs::copy(built, &program).expect("the program");
     program
 }
 
@@ -81,6 +79,16 @@ pub(crate) fn run_on_file(program: &Path, folder: &Path, samples: &[i16]) -> (Ve
         std::fs::read(folder.join("output.wire")).expect("what was sent"),
         said,
     )
+}
+
+/// Runs a program that must end by itself without success; what it said.
+pub(crate) fn refuses(program: &Path) -> String {
+    let output = qemu(program, &[])
+        .args(["-serial", "null"])
+        .output()
+        .expect("run qemu-system-arm");
+    assert_eq!(output.status.code(), Some(1));
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
 }
 
 /// A machine whose UART0 is at hand.
