@@ -1,4 +1,4 @@
-//! Linker arguments of the test programs for QEMU.
+//! Linker arguments of the programs for QEMU.
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
@@ -6,6 +6,7 @@ fn main() {
         println!("cargo::rerun-if-changed=../memory.x");
         for argument in ["--nmagic", "-Tlink.x"] {
             println!("cargo::rustc-link-arg-tests={argument}");
+            println!("cargo::rustc-link-arg-examples={argument}");
         }
     }
 }

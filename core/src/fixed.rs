@@ -9,6 +9,12 @@ pub fn mul_high(a: i32, b: i32) -> i32 {
     ((i64::from(a) * i64::from(b)) >> 32) as i32
 }
 
+/// ⌊c − a·b / 2³²⌋: one SMMLS.
+#[inline(always)]
+pub fn mul_high_subtract(c: i32, a: i32, b: i32) -> i32 {
+    (((i64::from(c) << 32) - i64::from(a) * i64::from(b)) >> 32) as i32
+}
+
 /// a·b / 2³², rounded to nearest, halves up.
 #[inline(always)]
 pub fn mul_high_rounded(a: i32, b: i32) -> i32 {
@@ -65,6 +71,8 @@ mod tests {
             for b in [i32::MIN, -1, 0, 1, i32::MAX] {
                 let exact = i128::from(a) * i128::from(b);
                 assert_eq!(i128::from(mul_high(a, b)), exact >> 32);
+                let less = ((i128::from(7) << 32) - exact) >> 32;
+                assert_eq!(i128::from(mul_high_subtract(7, a, b)), less);
                 assert_eq!(i128::from(mul_high_rounded(a, b)), (exact + (1 << 31)) >> 32);
             }
         }

@@ -4,6 +4,7 @@
 //! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.
 #![no_std]
 
+pub mod frontend;
 pub mod random;
 pub mod stream;
 pub mod wire;
@@ -13,6 +14,18 @@ pub mod wire;
 macro_rules! cases {
     ($each:ident) => {
         $each! {
+            frontend {
+                energy,
+                window,
+                fft,
+                magnitude,
+                mel,
+                log,
+                dct,
+                raw_observations,
+                normalised_observations,
+                normalised_observations_in_other_pieces,
+            }
             stream {
                 same_bytes_everywhere,
                 cuts_do_not_matter,

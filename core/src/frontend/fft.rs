@@ -17,7 +17,8 @@
 //! ```
 //!
 //! so nothing overflows for any input. Error of a bin: below 12 LSB, 2 LSB rms.
-use crate::fixed::mul_high;
+use crate::FRAME_SAMPLES;
+use crate::fixed::{mul_high, mul_high_subtract};
 use crate::frontend::magnitude::magnitude;
 use crate::tables::fft::{ORDER, SPLIT, TWIDDLE_16, TWIDDLE_64, TWIDDLE_256};
 
@@ -61,13 +62,15 @@ impl Complex {
     fn rotate_half(self, c: i32, s: i32) -> Self {
         Self {
             re: mul_high(self.re, c) + mul_high(self.im, s),
-            im: mul_high(self.im, c) - mul_high(self.re, s),
+            im: mul_high_subtract(mul_high(self.im, c), self.re, s),
         }
     }
 }
 
-/// Transforms 256 complex points in place; bin k is left at the position that [`ORDER`] says.
+/// Transforms 200 points, padded with 56 zeros (whatever stands there), in place; bin k is left at the position that
+/// [`ORDER`] says.
 pub fn transform(points: &mut [Complex; FFT_HALF]) {
+    points[FRAME_SAMPLES / 2..].fill(Complex::default());
     stage(points, &TWIDDLE_256);
     for block in points.chunks_exact_mut(64) {
         stage(block, &TWIDDLE_64);
@@ -101,15 +104,21 @@ fn stage(block: &mut [Complex], twiddles: &[[i32; 6]]) {
     let (a, b) = front.split_at_mut(quarter);
     let (c, d) = back.split_at_mut(quarter);
     for ((((a, b), c), d), w) in a.iter_mut().zip(b).zip(c).zip(d).zip(twiddles) {
-        let sums = butterfly(*a, *b, *c, *d);
-        *a = sums[0].half();
-        *b = sums[1].rotate_half(w[0], w[1]);
-        *c = sums[2].rotate_half(w[2], w[3]);
-        *d = sums[3].rotate_half(w[4], w[5]);
+        // In this order few numbers are alive at a time.
+        let (ac, a_c) = (a.plus(*c), a.minus(*c));
+        let (bd, b_d) = (b.plus(*d), b.minus(*d));
+        *a = ac.plus(bd).half();
+        *c = ac.minus(bd).rotate_half(w[2], w[3]);
+        let turned = Complex {
+            re: b_d.im,
+            im: -b_d.re,
+        };
+        *b = a_c.plus(turned).rotate_half(w[0], w[1]);
+        *d = a_c.minus(turned).rotate_half(w[4], w[5]);
     }
 }
 
-/// Magnitudes of the real signal's bins 1..=255, in the transform's Q(6 + s), below 2³¹; entry 0 is left alone.
+/// Magnitudes of the real signal's bins 1..=255, in Q(4 + s), below 2^28.2; entry 0 is left alone.
 ///
 /// X\[k\] = ½(Z\[k\] + Z*\[256−k\]) − ½j·W₅₁₂^k·(Z\[k\] − Z*\[256−k\]), and X\[256−k\] is the conjugate of the same with
 /// the second term's sign turned.

@@ -3,25 +3,36 @@
 //! A bin between the centres of two channels gives its share to the lower and the rest to the upper one. Shares are
 //! Q16, sums exact. |error| of a sum ≤ 2⁻¹⁷ of the sum.
 use crate::frontend::fft::FFT_HALF;
-use crate::tables::mel::{EDGES, SHARES};
+use crate::tables::mel::{SHARES, WIDTHS};
 
 /// Channels.
 pub const N_MEL: usize = 26;
 
-/// Channel sums in Q(f + 16) of magnitudes in Qf, bins 1..=255; at most 2³¹·2¹⁶·21 bins < 2⁵².
+/// Channel sums in Q(f + 16) of magnitudes in Qf, bins 1..=255.
+///
+/// By Parseval the magnitudes of m bins sum to at most √m·16·√(Σ z²) < √24·16·2^20.48 samples (see `fft`), so that with
+/// magnitudes in Q(4 + s) the totals stay below 2^30.8.
 pub fn filterbank(magnitudes: &[u32; FFT_HALF], out: &mut [u64; N_MEL]) {
-    let mut rising = 0;
-    for (channel, edges) in EDGES.windows(2).enumerate() {
-        let (from, to) = (usize::from(edges[0]), usize::from(edges[1]));
-        let mut falling = 0u64;
-        let mut total = 0u64;
-        for (&magnitude, &share) in magnitudes[from..to].iter().zip(&SHARES[from..to]) {
-            falling += u64::from(magnitude) * u64::from(share);
-            total += u64::from(magnitude);
+    // What the bins between two centres give to the channel below and to the one above.
+    let mut falling = [0u64; N_MEL + 1];
+    let mut rising = [0u64; N_MEL + 1];
+    let mut between = 0;
+    let mut left = WIDTHS[0];
+    let (mut fall, mut total) = (0u64, 0u32);
+    for (&magnitude, &share) in magnitudes[1..].iter().zip(&SHARES) {
+        fall += u64::from(magnitude) * u64::from(share);
+        total = total.wrapping_add(magnitude);
+        left -= 1;
+        if left == 0 {
+            falling[between] = fall;
+            rising[between] = (u64::from(total) << 16) - fall;
+            between = (between + 1).min(N_MEL);
+            left = WIDTHS[between];
+            (fall, total) = (0, 0);
         }
-        if channel > 0 {
-            out[channel - 1] = rising + falling;
-        }
-        rising = (total << 16) - falling;
+    }
+    // What lies below the first centre rises only, what lies above the last one falls only.
+    for ((sum, rise), fall) in out.iter_mut().zip(&rising).zip(&falling[1..]) {
+        *sum = rise + fall;
     }
 }

@@ -56,17 +56,23 @@ pub struct FrontEnd {
     config: Config,
     phase: Phase,
     /// The window being filled.
-    samples: [i16; FRAME_SAMPLES],
+    samples: Window,
     filled: usize,
     /// Frames analysed, modulo 2³².
     index: u32,
     energy: Energy,
     normaliser: Normaliser,
     deltas: Deltas,
-    /// Normalised statics that wait for their Δ.
-    waiting: [[i16; N_STATIC]; OBSERVATION_DELAY + 1],
+    /// Normalised statics that wait for their Δ, a ring; `oldest` is written next.
+    waiting: [[i16; N_STATIC]; OBSERVATION_DELAY],
+    oldest: usize,
     scratch: Scratch,
 }
+
+/// Samples of a window, aligned so that they are moved by words.
+#[derive(Clone, Debug)]
+#[repr(align(4))]
+struct Window([i16; FRAME_SAMPLES]);
 
 /// Working space of one analysis; holds nothing between frames.
 #[derive(Clone, Debug)]
@@ -80,13 +86,14 @@ impl FrontEnd {
         Self {
             config,
             phase: Phase::Running,
-            samples: [0; FRAME_SAMPLES],
+            samples: Window([0; FRAME_SAMPLES]),
             filled: 0,
             index: 0,
             energy: Energy::default(),
             normaliser: Normaliser::new(&config.start_mean),
             deltas: Deltas::default(),
-            waiting: [[0; N_STATIC]; OBSERVATION_DELAY + 1],
+            waiting: [[0; N_STATIC]; OBSERVATION_DELAY],
+            oldest: 0,
             scratch: Scratch {
                 points: [Complex { re: 0, im: 0 }; FFT_HALF],
                 magnitudes: [0; FFT_HALF],
@@ -111,7 +118,7 @@ impl FrontEnd {
         if self.phase != Phase::Running {
             self.reset();
         }
-        let space = &mut self.samples[self.filled..];
+        let space = &mut self.samples.0[self.filled..];
         let taken = samples.len().min(space.len());
         space[..taken].copy_from_slice(&samples[..taken]);
         self.filled += taken;
@@ -119,15 +126,14 @@ impl FrontEnd {
             return (taken, None);
         }
         let raw = self.analyse();
-        self.samples.copy_within(HOP_SAMPLES.., 0);
+        self.samples.0.copy_within(HOP_SAMPLES.., 0);
         self.filled = FRAME_SAMPLES - HOP_SAMPLES;
         let statics = if self.config.normalise {
             self.normaliser.next(&raw)
         } else {
             raw
         };
-        let derived = self.deltas.next(&raw);
-        (taken, Some(self.hop(Some(statics), derived)))
+        (taken, Some(self.hop(&raw, Some(statics), 0)))
     }
 
     /// The frames that the look-ahead held back, one a call; none when all are out. Samples short of a whole
@@ -143,22 +149,21 @@ impl FrontEnd {
             return None;
         }
         self.phase = Phase::Draining(past + 1);
-        let derived = self.deltas.next_past_end(past + 1);
-        Some(self.hop(None, derived))
+        Some(self.hop(&[0; N_STATIC], None, past + 1))
     }
 
     /// Raw statics of the window that is full.
     fn analyse(&mut self) -> [i16; N_STATIC] {
         let Scratch { points, magnitudes } = &mut self.scratch;
-        let sum = self.energy.next(&self.samples);
+        let sum = self.energy.next(&self.samples.0);
         let headroom = energy::headroom(sum);
-        window::load(&self.samples, headroom, points);
+        window::load(&self.samples.0, headroom, points);
         fft::transform(points);
         fft::split_magnitudes(points, magnitudes);
         let mut channels = [0; mel::N_MEL];
         mel::filterbank(magnitudes, &mut channels);
-        // Q(6 + s) bins, Q16 shares.
-        let log_mel = log::log_mel(&channels, 6 + headroom + 16);
+        // Q(4 + s) magnitudes, Q16 shares.
+        let log_mel = log::log_mel(&channels, 4 + headroom + 16);
         let mut statics = [energy::log_energy(sum); N_STATIC];
         let mut cepstra = [0; N_CEPSTRA];
         dct::cepstra(&log_mel, &mut cepstra);
@@ -166,28 +171,29 @@ impl FrontEnd {
         statics
     }
 
-    /// Puts a hop together and counts it.
-    fn hop(
-        &mut self,
-        statics: Option<[i16; N_STATIC]>,
-        derived: Option<([i16; N_STATIC], [i16; N_STATIC])>,
-    ) -> Hop {
-        self.waiting.copy_within(1.., 0);
-        if let Some(statics) = statics {
-            self.waiting[OBSERVATION_DELAY] = statics;
+    /// Puts a hop together and counts it; `past` is how many frames it lies past the last one.
+    fn hop(&mut self, raw: &[i16; N_STATIC], statics: Option<[i16; N_STATIC]>, past: usize) -> Hop {
+        let mut all = [0; N_OBSERVATION];
+        let (own, derived) = all.split_at_mut(N_STATIC);
+        let (delta, delta_delta) = derived.split_at_mut(N_STATIC);
+        let mut ready = false;
+        if let (Ok(delta), Ok(delta_delta)) = (delta.try_into(), delta_delta.try_into()) {
+            ready = match past {
+                0 => self.deltas.next(raw, delta, delta_delta),
+                _ => self.deltas.next_past_end(past, delta, delta_delta),
+            };
         }
-        let observation = derived.map(|(delta, delta_delta)| {
-            let mut all = [0; N_OBSERVATION];
-            all[..N_STATIC].copy_from_slice(&self.waiting[0]);
-            all[N_STATIC..2 * N_STATIC].copy_from_slice(&delta);
-            all[2 * N_STATIC..].copy_from_slice(&delta_delta);
-            all
-        });
+        let waiting = &mut self.waiting[self.oldest % OBSERVATION_DELAY];
+        own.copy_from_slice(waiting);
+        if let Some(statics) = &statics {
+            *waiting = *statics;
+        }
+        self.oldest = (self.oldest + 1) % OBSERVATION_DELAY;
         let index = self.index;
         self.index = self.index.wrapping_add(1);
         Hop {
             statics,
-            observation,
+            observation: ready.then_some(all),
             index,
         }
     }

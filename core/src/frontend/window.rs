@@ -1,4 +1,4 @@
-//! Pre-emphasis and Hamming window in one pass: z\[i\] = w\[i\]·(x\[i\] − 0.97·x\[i−1\]), padded to 512 points.
+//! Pre-emphasis and Hamming window in one pass: z\[i\] = w\[i\]·(x\[i\] − 0.97·x\[i−1\]).
 //!
 //! w is Q31 and the pre-emphasised sample Q15, so their high word is Q14; it is stored in Q(9 + s), s being the
 //! headroom that the energy allows. |error| < 2 LSB, that is 2^(−8−s) of a sample.
@@ -8,16 +8,14 @@ use crate::frontend::fft::{Complex, FFT_HALF};
 use crate::frontend::preemphasis::emphasise;
 use crate::tables::window::WINDOW;
 
-/// Fills the transform's input: even samples in `re`, odd ones in `im`, zeros behind. `headroom` ≤ 5.
+/// Fills the first 200 points of the transform's input: even samples in `re`, odd ones in `im`. `headroom` ≤ 5.
 pub fn load(samples: &[i16; FRAME_SAMPLES], headroom: u32, out: &mut [Complex; FFT_HALF]) {
     let shift = 5 - headroom;
-    let (signal, padding) = out.split_at_mut(FRAME_SAMPLES / 2);
     let mut previous = samples[0];
     let weights = WINDOW.chunks_exact(2);
-    for ((z, x), w) in signal.iter_mut().zip(samples.chunks_exact(2)).zip(weights) {
+    for ((z, x), w) in out.iter_mut().zip(samples.chunks_exact(2)).zip(weights) {
         z.re = mul_high(emphasise(x[0], previous), w[0]) >> shift;
         z.im = mul_high(emphasise(x[1], x[0]), w[1]) >> shift;
         previous = x[1];
     }
-    padding.fill(Complex::default());
 }

@@ -49,7 +49,10 @@ fn header(what: &str, worst: f64) -> String {
 
 /// Appends one constant array, eight entries a line or so.
 fn constant<T: std::fmt::Display>(text: &mut String, doc: &str, declaration: &str, entries: &[T]) {
-    let _ = write!(text, "\n/// {doc}\n#[rustfmt::skip]\npub const {declaration} = [");
+    let _ = write!(
+        text,
+        "\n/// {doc}\n#[rustfmt::skip]\npub static {declaration} = ["
+    );
     let mut column = usize::MAX;
     for entry in entries {
         let entry = format!("{entry},");
@@ -128,20 +131,26 @@ fn fft() -> TableFile {
 }
 
 fn root() -> TableFile {
+    // Only steps 128.. are met, and 0 for zero itself.
     let mut worst = 0f64;
-    let entries: Vec<u32> = (0..=256)
-        .map(|i| {
-            let exact = libm::sqrt(f64::from(i)) * libm::exp2(27.5);
-            let rounded = exact.round();
-            worst = worst.max((rounded - exact).abs() / exact.max(1.0));
-            rounded as u32
+    let entries: Vec<u16> = (0..1024)
+        .map(|i| match i {
+            0..128 => 0,
+            _ => {
+                let root = |x: f64| libm::sqrt(x * libm::exp2(21.0));
+                let middle = root(f64::from(i) + 0.5).round();
+                for end in [i, i + 1] {
+                    worst = worst.max((middle / root(f64::from(end)) - 1.0).abs());
+                }
+                middle as u16
+            }
         })
         .collect();
-    let mut text = header("Square roots.", worst);
+    let mut text = header("Square roots; errors are relative, at the ends of a step.", worst);
     constant(
         &mut text,
-        "√(i·2⁵⁵) for i = 0..=256.",
-        "ROOT: [u32; 257]",
+        "√((i + ½)·2²¹) for i = 128..1024, 0 below.",
+        "ROOT: [u16; 1024]",
         &entries,
     );
     TableFile {
@@ -156,8 +165,7 @@ fn mel() -> TableFile {
     let spacing = mel(rate / 2.0) / (N_MEL + 1) as f64;
     let mut rounder = Rounder::new();
     let mut edges = vec![1usize];
-    // Bin 0 belongs to no channel.
-    let mut shares = vec![0u16];
+    let mut shares = Vec::new();
     for bin in 1..FFT_POINTS / 2 {
         let position = mel(bin as f64 * rate / FFT_POINTS as f64) / spacing;
         let channel = libm::floor(position) as usize;
@@ -168,20 +176,21 @@ fn mel() -> TableFile {
     }
     edges.push(FFT_POINTS / 2);
     assert_eq!(edges.len(), N_MEL + 2, "a channel without a bin");
+    let widths: Vec<usize> = edges.windows(2).map(|pair| pair[1] - pair[0]).collect();
     let mut text = header(
         "The mel filterbank of 26 channels over 0 Hz to 8 kHz.",
         rounder.worst,
     );
     constant(
         &mut text,
-        "First bin at or above the centre of channel i − 1 (0: the lower edge of the first channel); the end at last.",
-        "EDGES: [u16; 28]",
-        &edges,
+        "Bins between the centre of channel i − 1 and that of channel i; the band's edges count as centres.",
+        "WIDTHS: [u8; 27]",
+        &widths,
     );
     constant(
         &mut text,
-        "Share of each bin that belongs to the channel below it, Q16; bins 0..=255.",
-        "SHARES: [u16; 256]",
+        "Share of each bin that belongs to the channel below it, Q16; bins 1..=255.",
+        "SHARES: [u16; 255]",
         &shares,
     );
     TableFile { name: "mel.rs", text }

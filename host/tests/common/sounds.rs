@@ -118,3 +118,20 @@ pub(crate) fn difficult() -> Vec<(&'static str, Vec<i16>, f64)> {
         ),
     ]
 }
+
+/// Six windows: voiced, unvoiced, quiet, nearly nothing, full-scale noise, full-scale alternation.
+pub(crate) fn windows() -> [[i16; 400]; 6] {
+    let voice = voice(1.0, 12000.0);
+    let cut =
+        |samples: &[i16], from: usize| -> [i16; 400] { *samples[from..].first_chunk().expect("long enough") };
+    let quiet: Vec<i16> = voice.iter().map(|&x| x / 100).collect();
+    let faint: Vec<i16> = voice.iter().map(|&x| x / 3000).collect();
+    [
+        cut(&voice, 7200),
+        cut(&voice, 14200),
+        cut(&quiet, 7300),
+        cut(&faint, 7300),
+        cut(&hiss(0.1, 32767.0), 0),
+        std::array::from_fn(|n| if n % 2 == 0 { i16::MAX } else { i16::MIN }),
+    ]
+}
