@@ -1,7 +1,7 @@
 //! Mel filterbank: 26 half-overlapping triangles over 0 Hz to 8 kHz, linear in mel (1127·ln(1 + f/700)).
 //!
 //! A bin between the centres of two channels gives its share to the lower and the rest to the upper one. Shares are
-//! Q16, sums exact. |error| of a sum ≤ 2⁻¹⁷ of the sum.
+//! Q16, sums exact. |error| of a sum ≤ 2e-5 of it.
 use crate::frontend::fft::FFT_HALF;
 use crate::tables::mel::{SHARES, WIDTHS};
 

@@ -1,7 +1,8 @@
 //! Pre-emphasis and Hamming window in one pass: z\[i\] = w\[i\]·(x\[i\] − 0.97·x\[i−1\]).
 //!
 //! w is Q31 and the pre-emphasised sample Q15, so their high word is Q14; it is stored in Q(9 + s), s being the
-//! headroom that the energy allows. |error| < 2 LSB, that is 2^(−8−s) of a sample.
+//! headroom that the energy allows. |error| ≤ 2 LSB, that is 2^(−8−s) of a sample, and 1.3e-6 of the loudest sample for
+//! the rounded 0.97.
 use crate::FRAME_SAMPLES;
 use crate::fixed::mul_high;
 use crate::frontend::fft::{Complex, FFT_HALF};
