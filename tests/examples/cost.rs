@@ -30,8 +30,8 @@ mod host {
 
     const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 
-    /// Most instructions of a hop on Cortex-M4 (issue of the front end's cost).
-    const MOST_INSTRUCTIONS: u64 = 35_000;
+    /// Most instructions of a hop on Cortex-M4 with all 39 numbers.
+    const MOST_INSTRUCTIONS: u64 = 42_000;
 
     /// Rows of the table: the program's name for a number, and ours.
     const ROWS: [(&str, &str); 16] = [

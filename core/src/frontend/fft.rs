@@ -16,7 +16,7 @@
 //! split       twice the even  2·√79.7·2^20.48·2⁶ < 2³¹   Q(6 + s), bins below √159·2^20.48·2⁶ < 2^30.2
 //! ```
 //!
-//! so nothing overflows for any input. Error of a point: at most 12 LSB, 2.5 LSB rms.
+//! so nothing overflows for any input. Error of a point: at most 24 LSB, 3.5 LSB rms.
 use crate::FRAME_SAMPLES;
 use crate::fixed::{mul_high, mul_high_subtract};
 use crate::frontend::magnitude::magnitude;

@@ -1,6 +1,6 @@
 //! Base-2 logarithm of channel sums, floored at 1.0 on int16 scale.
 //!
-//! |error| ≤ 6e-5: a table at 64 points of the octave, read with linear interpolation, in Q16.
+//! |error| ≤ 7e-5: a table at 64 points of the octave, read with linear interpolation, in Q16.
 use crate::fixed::mul_high_u32;
 use crate::frontend::mel::N_MEL;
 use crate::tables::log::LOG2;

@@ -103,7 +103,7 @@ pub(crate) fn difficult() -> Vec<(&'static str, Vec<i16>, f64)> {
         (
             "alternation of 1 LSB",
             make(&|n| if n % 2 == 0 { 1 } else { -1 }),
-            0.05,
+            0.1,
         ),
         ("impulse, full scale", impulse(i16::MIN), 0.05),
         ("impulse of 1 LSB", impulse(1), 0.05),
