@@ -145,3 +145,105 @@ fn largest(values: ArrayView1<f32>) -> f32 {
         .copied()
         .fold(0.0, |best, v| if v.abs() > f32::abs(best) { v } else { best })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::video::{Affine, ChannelMap};
+
+    const SIZE: (usize, usize) = (8, 6);
+    const PIXELS: usize = 8 * 6 * 3;
+
+    /// Two patterns at right angles, of unit length, and how strong each is in image `t`.
+    fn patterns() -> [Vec<f32>; 2] {
+        let raw: [Vec<f32>; 2] = [
+            (0..PIXELS).map(|p| if p % 2 == 0 { 1.0 } else { -1.0 }).collect(),
+            (0..PIXELS)
+                .map(|p| if p / 2 % 2 == 0 { 1.0 } else { -1.0 })
+                .collect(),
+        ];
+        raw.map(|v| v.iter().map(|x| x / (PIXELS as f32).sqrt()).collect())
+    }
+
+    fn strengths(t: usize) -> [f32; 2] {
+        let t = t as f32;
+        [300.0 * (0.7 * t).sin(), 120.0 * (1.9 * t + 0.4).cos()]
+    }
+
+    fn clip(level: f32, count: usize) -> MouthTrack {
+        let [a, b] = patterns();
+        let images = (0..count)
+            .flat_map(|t| {
+                let [x, y] = strengths(t);
+                let (a, b) = (a.clone(), b.clone());
+                (0..PIXELS).map(move |p| (level + x * a[p] + y * b[p]).round() as u8)
+            })
+            .collect();
+        MouthTrack {
+            width: SIZE.0,
+            height: SIZE.1,
+            images,
+            transforms: vec![Affine::IDENTITY; count],
+            scores: vec![1.0; count],
+            colour: [ChannelMap::IDENTITY; 3],
+            rate_hz: 25.0,
+        }
+    }
+
+    #[test]
+    fn a_known_subspace_is_found() {
+        let mut samples = MouthSamples::new(SIZE);
+        // The clips' own levels are no part of the subspace.
+        for level in [100.0, 128.0, 156.0] {
+            samples.add_clip(&clip(level, 60), 40).unwrap();
+        }
+        assert_eq!(samples.len(), 120);
+        let (space, share) = eigenmouths(&samples, 2).unwrap();
+        assert!(share > 0.995, "{share}");
+        for (k, pattern) in patterns().iter().enumerate() {
+            let along: f32 = space.basis.row(k).iter().zip(pattern).map(|(a, b)| a * b).sum();
+            assert!(along.abs() > 0.999, "{k}: {along}");
+            for other in 0..2 {
+                let product = space.basis.row(k).dot(&space.basis.row(other));
+                assert!((product - f32::from(u8::from(k == other))).abs() < 1e-5);
+            }
+        }
+        // Standard deviation of 300·sin and 120·cos.
+        assert!((space.deviation[0] - 212.0).abs() < 15.0 && (space.deviation[1] - 85.0).abs() < 8.0);
+        assert!(space.mean.iter().all(|m| (m - 128.0).abs() < 6.0));
+    }
+
+    #[test]
+    fn weights_of_a_clip_carry_its_movement_and_not_its_light() {
+        let mut samples = MouthSamples::new(SIZE);
+        samples.add_clip(&clip(128.0, 60), 60).unwrap();
+        let (space, _) = eigenmouths(&samples, 2).unwrap();
+        let dark = space.project_clip(&clip(110.0, 60).images, true).unwrap();
+        let light = space.project_clip(&clip(140.0, 60).images, true).unwrap();
+        assert!((&dark - &light).iter().all(|d| d.abs() < 4.0));
+        assert!(dark.mean_axis(Axis(0)).unwrap().iter().all(|m| m.abs() < 1e-3));
+        // Not taken off, the mean stays.
+        let whole = space.project_clip(&clip(128.0, 60).images, false).unwrap();
+        for (t, row) in whole.rows().into_iter().enumerate() {
+            let image: Vec<f32> = clip(128.0, 60).image(t).iter().map(|v| f32::from(*v)).collect();
+            let back = space.expand(row);
+            assert!(back.iter().zip(&image).all(|(b, i)| (b - i).abs() < 2.0));
+        }
+        assert!(space.project_clip(&[0; 100], true).is_err());
+    }
+
+    #[test]
+    fn too_few_or_equal_images_are_refused() {
+        let mut samples = MouthSamples::new(SIZE);
+        assert!(eigenmouths(&samples, 2).is_err());
+        samples.add_clip(&clip(100.0, 2), 2).unwrap();
+        assert!(eigenmouths(&samples, 2).is_err());
+        let mut still = clip(100.0, 1);
+        still.images = still.images.repeat(9);
+        still.transforms = vec![Affine::IDENTITY; 9];
+        let mut samples = MouthSamples::new(SIZE);
+        samples.add_clip(&still, 9).unwrap();
+        assert!(eigenmouths(&samples, 2).is_err());
+        assert!(MouthSamples::new((6, 8)).add_clip(&still, 9).is_err());
+    }
+}

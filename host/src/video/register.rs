@@ -272,3 +272,77 @@ impl<const N: usize> Descent<N> {
         Some(Self { images, inverse })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A pattern without repetition, smooth on the scale of some pixels.
+    fn pattern(x: f32, y: f32) -> f32 {
+        let blob =
+            |cx: f32, cy: f32, r: f32, v: f32| v * (-((x - cx).powi(2) + (y - cy).powi(2)) / (r * r)).exp();
+        blob(22.0, 20.0, 7.0, -60.0)
+            + blob(60.0, 21.0, 7.0, -55.0)
+            + blob(41.0, 40.0, 9.0, 40.0)
+            + blob(22.0, 8.0, 6.0, -30.0)
+            + blob(62.0, 9.0, 6.0, -35.0)
+            + blob(10.0, 45.0, 8.0, 20.0)
+            + blob(74.0, 48.0, 10.0, -20.0)
+    }
+
+    fn template() -> Template {
+        let image = Plane::from_fn(84, 60, |x, y| pattern(x as f32, y as f32));
+        let weights = Plane::from_fn(84, 60, |_, _| 1.0);
+        Template::new(&image, &weights, (0.0, 0.0), 84.0).unwrap()
+    }
+
+    /// The pattern as seen through `map`, with a gain and a level.
+    fn picture(map: &Affine, gain: f32, level: f32) -> Pyramid {
+        let back = map.inverse().unwrap();
+        let plane = Plane::from_fn(200, 160, |x, y| {
+            let (x, y) = back.apply(x as f32, y as f32);
+            gain * pattern(x, y) + level
+        });
+        Pyramid::new(plane, LEVELS)
+    }
+
+    fn worst_corner(a: &Affine, b: &Affine) -> f32 {
+        [(0.0, 0.0), (83.0, 0.0), (0.0, 59.0), (83.0, 59.0)]
+            .iter()
+            .map(|&(x, y)| {
+                let (p, q) = (a.apply(x, y), b.apply(x, y));
+                (p.0 - q.0).hypot(p.1 - q.1)
+            })
+            .fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn known_maps_are_found_whatever_the_exposure() {
+        let template = template();
+        let start = Affine::scaled(1.0, 50.0, 40.0);
+        for (map, gain, level) in [
+            (Affine::scaled(1.0, 50.0, 40.0), 1.0, 0.0),
+            (Affine::scaled(1.0, 55.3, 36.6), 1.0, 0.0),
+            (Affine([1.04, -0.06, 48.0, 0.06, 1.04, 41.5]), 0.5, 30.0),
+            (Affine([0.95, 0.03, 53.0, -0.02, 1.05, 38.0]), 1.8, -20.0),
+        ] {
+            let found = template.register(&picture(&map, gain, level), start).unwrap();
+            let error = worst_corner(&found.map, &map);
+            assert!(error < 0.1, "{error} px, {map:?}");
+            assert!(found.score > 0.995, "{}", found.score);
+        }
+    }
+
+    #[test]
+    fn nothing_to_hold_on_to_is_no_template_and_no_match() {
+        let flat = Plane::from_fn(84, 60, |_, _| 7.0);
+        let weights = Plane::from_fn(84, 60, |_, _| 1.0);
+        assert!(Template::new(&flat, &weights, (0.0, 0.0), 84.0).is_none());
+        let blank = Pyramid::new(Plane::new(200, 160), LEVELS);
+        assert!(template().register(&blank, Affine::IDENTITY).is_none());
+        // Another pattern may be matched, but not well.
+        let other = Plane::from_fn(200, 160, |x, y| ((x * 7919 + y * 104_729) % 251) as f32);
+        let found = template().register(&Pyramid::new(other, LEVELS), Affine::scaled(1.0, 50.0, 40.0));
+        assert!(found.is_none_or(|f| f.score < 0.5));
+    }
+}
