@@ -151,7 +151,7 @@ fn logarithms_are_off_by_seven_in_a_hundred_thousand() {
 }
 
 #[test]
-fn cepstra_are_off_by_an_lsb() {
+fn cepstra_are_off_by_two_lsb() {
     let mut noise = sounds::noise(9);
     let twin = dct::Cosines::default();
     for _ in 0..500 {
@@ -161,7 +161,7 @@ fn cepstra_are_off_by_an_lsb() {
         frontend::dct::cepstra(&logs, &mut cepstra);
         for (got, want) in cepstra.iter().zip(twin.cepstra(&natural)) {
             let error = f64::from(*got) / 256.0 - want.clamp(-128.0, 32767.0 / 256.0);
-            assert!(error.abs() <= 0.006, "{want}: off by {error}");
+            assert!(error.abs() <= 0.008, "{want}: off by {error}");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! Cepstra c1..c12: DCT-II scaled by √(2/26), lifter 1 + 11·sin(πn/22), and ln 2 for the base-2 logarithm.
 //!
 //! cos(πn(j + ½)/26) is even in the channels' mirror for even n and odd for odd n, so 13 sums and 13 differences
-//! carry everything: 156 products. |error| ≤ 0.006 for log sums of up to 25 octaves (half an LSB and the table's).
+//! carry everything: 156 products. |error| ≤ 0.008 for log sums of up to 16 octaves (half an LSB and the table's).
 use crate::N_CEPSTRA;
 use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
 use crate::frontend::mel::N_MEL;
