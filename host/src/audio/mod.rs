@@ -84,5 +84,22 @@ fn mix_down(interleaved: &[f64], channels: usize) -> Vec<f64> {
         .collect()
 }
 
+/// Writes 16 kHz mono samples as a WAV file of 16 bits, whole or not at all.
+pub fn write(path: &Path, samples: &[i16]) -> Result<()> {
+    let spec = hound::WavSpec {
+        channels: 1,
+        sample_rate: lipstream_core::SAMPLE_RATE_HZ,
+        bits_per_sample: 16,
+        sample_format: hound::SampleFormat::Int,
+    };
+    let mut bytes = std::io::Cursor::new(Vec::with_capacity(samples.len() * 2 + 64));
+    let mut writer = hound::WavWriter::new(&mut bytes, spec)?;
+    for sample in samples {
+        writer.write_sample(*sample)?;
+    }
+    writer.finalize()?;
+    files::write_bytes(path, bytes.get_ref())
+}
+
 #[cfg(test)]
 mod tests;

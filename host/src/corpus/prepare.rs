@@ -339,30 +339,13 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     } else {
         audio::decode(&video::decode_sound(from)?)?.samples
     };
-    write_wav(&path, &samples)?;
+    audio::write(&path, &samples)?;
     notes.note("sound", sound_stamp)?;
     Ok(samples)
 }
 
 fn is_wav(path: &Path) -> bool {
     path.extension().is_some_and(|e| e.eq_ignore_ascii_case("wav"))
-}
-
-/// 16 kHz mono i16.
-fn write_wav(path: &Path, samples: &[i16]) -> Result<()> {
-    let spec = hound::WavSpec {
-        channels: 1,
-        sample_rate: lipstream_core::SAMPLE_RATE_HZ,
-        bits_per_sample: 16,
-        sample_format: hound::SampleFormat::Int,
-    };
-    let mut bytes = std::io::Cursor::new(Vec::with_capacity(samples.len() * 2 + 64));
-    let mut writer = hound::WavWriter::new(&mut bytes, spec)?;
-    for sample in samples {
-        writer.write_sample(*sample)?;
-    }
-    writer.finalize()?;
-    files::write_bytes(path, bytes.get_ref())
 }
 
 /// Second pass: audio observations from `wav/` to `audio/`.

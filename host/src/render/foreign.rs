@@ -8,6 +8,7 @@ use anyhow::{Context as _, Result, anyhow, bail};
 use ndarray::ArrayView2;
 
 use super::{Painter, Settings, pictures_for};
+use crate::audio;
 use crate::mouth::MouthSpace;
 
 /// Like [`super::to_mp4`], for whatever format `ffmpeg` makes of the ending of `path`. Returns the pictures drawn.
@@ -51,7 +52,7 @@ pub fn write(
     ffmpeg.args(["-i", "-"]);
     if let Some(samples) = sound.filter(|_| !gif) {
         let wav = aside.path().join("sound.wav");
-        write_wav(&wav, samples)?;
+        audio::write(&wav, samples)?;
         ffmpeg.arg("-i").arg(wav);
     }
     if gif {
@@ -91,18 +92,4 @@ pub fn write(
     }
     std::fs::rename(&unfinished, path).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(pictures.nrows())
-}
-
-fn write_wav(path: &Path, samples: &[i16]) -> Result<()> {
-    let spec = hound::WavSpec {
-        channels: 1,
-        sample_rate: lipstream_core::SAMPLE_RATE_HZ,
-        bits_per_sample: 16,
-        sample_format: hound::SampleFormat::Int,
-    };
-    let mut wav = hound::WavWriter::create(path, spec)?;
-    for &sample in samples {
-        wav.write_sample(sample)?;
-    }
-    Ok(wav.finalize()?)
 }
