@@ -30,6 +30,18 @@ impl Score {
         }
     }
 
+    /// The score of one clip.
+    pub fn of(actual: &Array2<f32>, predicted: &Array2<f32>) -> Self {
+        let mut score = Self::new(actual.ncols());
+        score.add(actual, predicted);
+        score
+    }
+
+    /// Number of parameters D.
+    pub fn size(&self) -> usize {
+        self.actual.len()
+    }
+
     /// Adds a clip, `[frames, D]` both; extra frames of the longer one are left out.
     pub fn add(&mut self, actual: &Array2<f32>, predicted: &Array2<f32>) {
         for (o, p) in actual.outer_iter().zip(predicted.outer_iter()) {

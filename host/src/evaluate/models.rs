@@ -1,0 +1,99 @@
+//! Candidates that need no training corpus of systems: the mean, ridge regression, and one trained model in floats and as
+//! the device computes it.
+use anyhow::{Result, ensure};
+use ndarray::Array2;
+
+use super::candidate::{Candidate, Heard, Prediction};
+use super::ridge::RidgeMap;
+use crate::engine::{Engine, RunSettings};
+use crate::export::{ExportSettings, export};
+use crate::features::{FeatureFolder, Split};
+use crate::hmm::convert::{Follower, Lag, convert_with};
+use crate::model::Model;
+
+/// Always the mean mouth.
+pub fn mean<'a>(size: usize) -> Candidate<'a> {
+    Candidate::new("mean", Some(0), move |heard: &Heard| {
+        Ok(Prediction {
+            parameters: Array2::zeros((heard.observations.nrows(), size)),
+            visemes: None,
+        })
+    })
+}
+
+/// Ridge regression from normalised statics, ±200 ms and live, and the points of its curve. Fitted here.
+pub fn ridge<'a>(folder: &FeatureFolder, curve: bool) -> Result<Vec<Candidate<'a>>> {
+    let train = super::truths(folder, Split::Train)?;
+    let validation = super::truths(folder, Split::Val)?;
+    let fitted = |name: &str, taps: Vec<i32>| -> Result<Candidate<'a>> {
+        let ahead = 10 * taps.last().map_or(0, |t| (*t).max(0) as u32);
+        let map = RidgeMap::fit(&train, &validation, taps)?;
+        let candidate = Candidate::new(name, Some(ahead), move |heard: &Heard| {
+            Ok(Prediction {
+                parameters: map.predict(&heard.observations),
+                visemes: None,
+            })
+        });
+        Ok(candidate.of_family("ridge"))
+    };
+    let mut wide = fitted("ridge, ±200 ms", (-20..=20).collect())?;
+    wide.family = None;
+    let mut out = vec![wide, fitted("ridge, −300…80 ms", (-30..=8).step_by(2).collect())?];
+    if curve {
+        for ahead in [2, 4, 12, 20] {
+            let name = format!("ridge, −300…{}0 ms", ahead);
+            out.push(fitted(&name, (-30..=ahead).step_by(2).collect())?.unlisted());
+        }
+    }
+    Ok(out)
+}
+
+/// A trained model: in floats over the whole clip, under its lag, and in fixed point with beam and lag.
+pub fn of_model<'a>(
+    folder: &FeatureFolder,
+    model: &'a Model,
+    beam_bits: Option<f64>,
+) -> Result<Vec<Candidate<'a>>> {
+    ensure!(
+        model.visual_size() == folder.manifest.visual_size,
+        "the model speaks {} mouth parameters, {} holds {}",
+        model.visual_size(),
+        folder.root.display(),
+        folder.manifest.visual_size
+    );
+    let device = Engine::fixed(export(model, &ExportSettings::of(model))?.bytes)?;
+    let with = RunSettings {
+        beam_bits,
+        ..RunSettings::default()
+    };
+    let float = |name: &str, ahead, lag| {
+        let follower = Follower::of_model(model);
+        Candidate::new(name, ahead, move |heard: &Heard| {
+            let (parameters, visemes) = convert_with(&follower, model, &heard.observations, lag)?;
+            Ok(Prediction {
+                parameters,
+                visemes: Some(visemes),
+            })
+        })
+    };
+    let ahead = Some(model.look_ahead_ms());
+    Ok(vec![
+        float("ph-vi-chmm + local linear, float", None, Lag::Whole),
+        float(
+            "ph-vi-chmm + local linear, float, fixed lag",
+            ahead,
+            Lag::Frames(model.following.lag),
+        ),
+        Candidate::new(
+            "ph-vi-chmm + local linear, fixed point, beam and lag",
+            ahead,
+            move |heard: &Heard| {
+                let said = device.convert(&heard.samples, &with)?;
+                Ok(Prediction {
+                    parameters: said.parameters,
+                    visemes: Some(said.visemes),
+                })
+            },
+        ),
+    ])
+}
