@@ -11,7 +11,7 @@ use crate::{audio, features, files};
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech
+    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]

@@ -12,7 +12,7 @@ use crate::{audio, files};
 /// Write mouth shapes over time for animation programs
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech
+    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]

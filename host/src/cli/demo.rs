@@ -28,7 +28,7 @@ pub(crate) struct Args {
     /// Another model (.safetensors)
     #[arg(short, long)]
     model: Option<PathBuf>,
-    /// Other speech
+    /// Other speech: WAV, FLAC, MP3 or Ogg Vorbis
     #[arg(long)]
     wav: Option<PathBuf>,
 }

@@ -11,7 +11,7 @@ use crate::{audio, frontend, htk};
 /// Write audio observations (MFCC_E_D_A)
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file; other rates than 16 kHz are resampled
+    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis; other rates than 16 kHz are resampled
     sound: PathBuf,
     /// Where to write: .htk or .npy
     #[arg(short, long)]

@@ -14,7 +14,7 @@ use crate::{audio, cues, files};
 /// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Speech (.wav), or parameters that `lipstream convert` wrote (.npy, 100 frames a second)
+    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), or parameters that `lipstream convert` wrote (.npy, 100 frames a second)
     input: PathBuf,
     /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
     #[arg(short, long)]
@@ -72,7 +72,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         }
         "html" => {
             let (Some(visemes), Some(sound)) = (&performance.visemes, sound) else {
-                bail!("a page shows what the model hears: give speech (.wav), not parameters");
+                bail!("a page shows what the model hears: give speech, not parameters");
             };
             let rendered = render::to_mp4(&space, tracks, Some(sound), &settings, progress)?;
             let seconds = sound.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);

@@ -119,7 +119,7 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
-    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_wav(c.sound_path());
+    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
     if found.clips.iter().any(decodes) {
         video::available()?;
     }
@@ -334,7 +334,7 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     }
     notes.forget("sound");
     let from = source.sound_path();
-    let samples = if is_wav(from) {
+    let samples = if is_read_here(from) {
         audio::read(from)?.samples
     } else {
         audio::decode(&video::decode_sound(from)?)?.samples
@@ -344,8 +344,10 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     Ok(samples)
 }
 
-fn is_wav(path: &Path) -> bool {
-    path.extension().is_some_and(|e| e.eq_ignore_ascii_case("wav"))
+/// Whether sound is read without ffmpeg; that of video files never is.
+fn is_read_here(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    ending.to_str().is_some_and(|e| discover::SOUND.contains(&e)) && audio::knows(path)
 }
 
 /// Second pass: audio observations from `wav/` to `audio/`.

@@ -1,8 +1,9 @@
-//! What the front end's tests share: the integer path as an array, signal-to-noise ratio, sounds of our own.
+//! What the tests of sound and front end share: the integer path as an array, signal-to-noise ratio, sounds of our own.
 #![allow(dead_code)] // each test target uses its part
 
 use std::ops::Range;
 
+use lipstream::audio;
 use lipstream::frontend::config;
 use lipstream::reference::Normalisation;
 use lipstream_core::frontend::{FrontEnd, Hop};
@@ -43,4 +44,14 @@ pub(crate) fn quieter(samples: &[i16], db: f64) -> Vec<i16> {
         .iter()
         .map(|&x| (f64::from(x) * gain).round() as i16)
         .collect()
+}
+
+/// The error of bytes that must be refused: one line.
+pub(crate) fn refused(name: &str, bytes: &[u8]) -> String {
+    let error = match audio::decode(bytes) {
+        Ok(sound) => panic!("{name}: read as {} samples", sound.samples.len()),
+        Err(error) => format!("{error:#}"),
+    };
+    assert!(!error.contains('\n') && error.len() > 10, "{name}: {error:?}");
+    error
 }
