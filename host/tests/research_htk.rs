@@ -2,6 +2,7 @@
 mod common;
 
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use lipstream::reference::{self, Normalisation};
 use lipstream::{audio, frontend, htk};
@@ -14,15 +15,20 @@ fn golden() -> Option<PathBuf> {
     Some(Path::new(&shared).join("golden/htk"))
 }
 
+/// The recordings in a folder.
+fn wavs(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).expect("golden/htk");
+    let paths = entries.map(|entry| entry.expect("golden/htk").path());
+    paths
+        .filter(|path| path.extension().is_some_and(|e| e == "wav"))
+        .collect()
+}
+
 #[test]
 fn every_coefficient_equals_hcopy() {
     let Some(folder) = golden() else { return };
     let mut sounds = 0;
-    for entry in std::fs::read_dir(&folder).expect("golden/htk") {
-        let path = entry.expect("golden/htk").path();
-        if path.extension().is_none_or(|e| e != "wav") {
-            continue;
-        }
+    for path in wavs(&folder) {
         let sound = audio::read(&path).unwrap();
         let ours = reference::observations(&sound.samples, Normalisation::None);
         let hcopy = htk::read(&path.with_extension("htk")).unwrap();
@@ -39,16 +45,51 @@ fn every_coefficient_equals_hcopy() {
     assert!(sounds >= 3, "golden/htk holds {sounds} sounds");
 }
 
+/// The same through the program, in both formats: header words and numbers of HCopy's own files.
+#[test]
+fn the_program_writes_what_hcopy_writes() {
+    let Some(golden) = golden() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let mut sounds = 0;
+    for wav in wavs(&golden) {
+        let hcopy = std::fs::read(wav.with_extension("htk")).unwrap();
+        for out in ["out.htk", "out.npy"] {
+            let status = Command::new(env!("CARGO_BIN_EXE_lipstream"))
+                .current_dir(&folder)
+                .args(["features", wav.to_str().unwrap(), "--norm", "none", "-o", out])
+                .status();
+            assert!(status.unwrap().success(), "{}", wav.display());
+        }
+        let ours = std::fs::read(folder.path().join("out.htk")).unwrap();
+        assert_eq!(
+            ours[..12],
+            hcopy[..12],
+            "{}: frames, period, size, kind",
+            wav.display()
+        );
+        assert_eq!(ours.len(), hcopy.len(), "{}", wav.display());
+        let ours = htk::read(&folder.path().join("out.htk")).unwrap();
+        let npy: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.path().join("out.npy")).unwrap();
+        assert_eq!(ours, npy, "{}", wav.display());
+        let hcopy = htk::read(&wav.with_extension("htk")).unwrap();
+        let worst = (&ours - &hcopy).iter().fold(0f32, |w, d| w.max(d.abs()));
+        println!(
+            "{}: {} frames, worst difference {worst:.2e}",
+            wav.display(),
+            ours.nrows()
+        );
+        assert!(worst <= 1e-3, "{}: {worst}", wav.display());
+        sounds += 1;
+    }
+    assert!(sounds >= 3, "golden/htk holds {sounds} sounds");
+}
+
 /// The integer path: 40 dB on c1..c12 over the golden sounds, 30 dB when they are 40 dB quieter.
 #[test]
 fn integers_are_accurate_at_every_level() {
     let Some(folder) = golden() else { return };
     for (attenuation_db, least_db) in [(0.0, 55.0), (20.0, 50.0), (40.0, 40.0)] {
-        for entry in std::fs::read_dir(&folder).expect("golden/htk") {
-            let path = entry.expect("golden/htk").path();
-            if path.extension().is_none_or(|e| e != "wav") {
-                continue;
-            }
+        for path in wavs(&folder) {
             let samples = common::quieter(&audio::read(&path).unwrap().samples, attenuation_db);
             let want = reference::statics(&samples);
             let got = frontend::observations(&samples, Normalisation::None).mapv(f64::from);
