@@ -1,102 +1,15 @@
-//! Mixtures of diagonal Gaussians (X&L eq. 1): likelihoods, accumulators, re-estimation (eq. A.12-A.14), splitting.
-use ndarray::{Array1, Array2, Array3, ArrayView2, Axis};
+//! Mixtures of diagonal Gaussians (X&L eq. 1): accumulators, re-estimation (eq. A.12-A.14), splitting.
+use ndarray::{Array1, Array2, Array3, Axis};
 
+pub use super::evaluator::Evaluator;
 use crate::model::Mixtures;
 
-/// A mixture set made ready for likelihoods: precisions and constants computed once.
-pub struct Evaluator {
-    dimensions: usize,
-    components: usize,
-    /// `[state][component]`: ln w − ½ Σ ln 2πσ².
-    constant: Vec<f32>,
-    /// Interleaved `mean, ½/σ²` in blocks of `dimensions`.
-    mean: Vec<f32>,
-    half_precision: Vec<f32>,
-}
-
-impl Evaluator {
-    pub fn new(mixtures: &Mixtures) -> Self {
-        let (states, components, dimensions) = mixtures.mean.dim();
-        let mut constant = Vec::with_capacity(states * components);
-        for s in 0..states {
-            for k in 0..components {
-                let log_det: f32 = mixtures
-                    .variance
-                    .slice(ndarray::s![s, k, ..])
-                    .iter()
-                    .map(|v| (std::f32::consts::TAU * v).ln())
-                    .sum();
-                let weight = mixtures.log_weight[[s, k]];
-                constant.push(if weight <= Mixtures::NO_WEIGHT {
-                    f32::NEG_INFINITY
-                } else {
-                    weight - 0.5 * log_det
-                });
-            }
-        }
-        Self {
-            dimensions,
-            components,
-            constant,
-            mean: mixtures.mean.iter().copied().collect(),
-            half_precision: mixtures.variance.iter().map(|v| 0.5 / v).collect(),
-        }
-    }
-
-    pub fn components(&self) -> usize {
-        self.components
-    }
-
-    /// ln w_k N(o; μ_k, Σ_k) of every component of a state, into `out[..components]`; returns their log sum.
-    pub fn log_components(&self, state: usize, observation: &[f32], out: &mut [f32]) -> f32 {
-        let d = self.dimensions;
-        let mut max = f32::NEG_INFINITY;
-        for k in 0..self.components {
-            let row = state * self.components + k;
-            let mut distance = 0.0;
-            if self.constant[row] > f32::NEG_INFINITY {
-                let mean = &self.mean[row * d..][..d];
-                let precision = &self.half_precision[row * d..][..d];
-                let mut lanes = [0.0f32; 8];
-                let chunks = d / 8;
-                for c in 0..chunks {
-                    for (lane, sum) in lanes.iter_mut().enumerate() {
-                        let i = 8 * c + lane;
-                        let x = observation[i] - mean[i];
-                        *sum += x * x * precision[i];
-                    }
-                }
-                for i in 8 * chunks..d {
-                    let x = observation[i] - mean[i];
-                    distance += x * x * precision[i];
-                }
-                distance += lanes.iter().sum::<f32>();
-            }
-            out[k] = self.constant[row] - distance;
-            max = max.max(out[k]);
-        }
-        if max == f32::NEG_INFINITY {
-            return max;
-        }
-        max + out[..self.components]
-            .iter()
-            .map(|l| (l - max).exp())
-            .sum::<f32>()
-            .ln()
-    }
-
-    /// ln b_s(o) for the listed states at every frame, `[frames, states]`.
-    pub fn log_likelihoods(&self, states: &[usize], observations: ArrayView2<f32>) -> Array2<f32> {
-        let mut out = Array2::zeros((observations.nrows(), states.len()));
-        let mut scratch = vec![0.0; self.components];
-        for (t, observation) in observations.outer_iter().enumerate() {
-            let observation = observation.to_vec();
-            for (column, &state) in states.iter().enumerate() {
-                out[[t, column]] = self.log_components(state, &observation, &mut scratch);
-            }
-        }
-        out
-    }
+/// Every number of an observation with its square.
+pub fn powers(observation: &[f32]) -> impl Iterator<Item = [f64; 2]> + '_ {
+    observation.iter().map(|&x| {
+        let x = f64::from(x);
+        [x, x * x]
+    })
 }
 
 /// Sums of the E step; two of them add up to the sums of both data.
@@ -126,15 +39,23 @@ impl Accumulator {
 
     /// Adds an observation with occupancy γ(s, k).
     pub fn add(&mut self, state: usize, component: usize, occupancy: f64, observation: &[f32]) {
+        let powers: Vec<[f64; 2]> = powers(observation).collect();
+        self.add_powers(state, component, occupancy, &powers);
+    }
+
+    /// [`Accumulator::add`] of an observation whose [`powers`] are at hand.
+    pub fn add_powers(&mut self, state: usize, component: usize, occupancy: f64, powers: &[[f64; 2]]) {
+        let (_, components, d) = self.first.dim();
+        let row = state * components + component;
         self.occupancy[[state, component]] += occupancy;
-        let mut first = self.first.index_axis_mut(Axis(0), state);
-        let mut first = first.index_axis_mut(Axis(0), component);
-        let mut second = self.second.index_axis_mut(Axis(0), state);
-        let mut second = second.index_axis_mut(Axis(0), component);
-        for (i, &x) in observation.iter().enumerate() {
-            let weighted = occupancy * f64::from(x);
-            first[i] += weighted;
-            second[i] += weighted * f64::from(x);
+        let (Some(first), Some(second)) = (self.first.as_slice_mut(), self.second.as_slice_mut()) else {
+            unreachable!("sums are made in standard layout");
+        };
+        let first = &mut first[row * d..][..d];
+        let second = &mut second[row * d..][..d];
+        for ((first, second), [x, square]) in first.iter_mut().zip(second).zip(powers) {
+            *first += occupancy * x;
+            *second += occupancy * square;
         }
     }
 
@@ -257,19 +178,6 @@ mod tests {
             variance: ndarray::array![[[1.0, 0.5], [2.0, 1.0]]],
             log_weight: ndarray::array![[0.25f32.ln(), 0.75f32.ln()]],
         }
-    }
-
-    #[test]
-    fn likelihood_is_the_density() {
-        let evaluator = Evaluator::new(&two_components());
-        let mut parts = [0.0; 2];
-        let log = evaluator.log_components(0, &[0.5, 0.5], &mut parts);
-        let normal = |x: f64, m: f64, v: f64| {
-            (-(x - m).powi(2) / (2.0 * v)).exp() / (std::f64::consts::TAU * v).sqrt()
-        };
-        let want = 0.25 * normal(0.5, 0.0, 1.0) * normal(0.5, 1.0, 0.5)
-            + 0.75 * normal(0.5, 2.0, 2.0) * normal(0.5, -1.0, 1.0);
-        assert!((f64::from(log) - want.ln()).abs() < 1e-5);
     }
 
     #[test]

@@ -5,7 +5,8 @@
 use ndarray::{Array2, Array3, ArrayView1};
 use rayon::prelude::*;
 
-use super::density::{self, Accumulator, Evaluator, Floors};
+use super::density::{self, Accumulator, Floors};
+use super::evaluator::{Evaluator, Likelihoods};
 use super::forward_backward::{forward, viterbi};
 use super::graph::Graph;
 use super::network::PhoneNetwork;
@@ -159,59 +160,52 @@ fn row<'a>(row: ArrayView1<'a, f32>) -> &'a [f32] {
         .expect("rows of an array in standard layout are slices")
 }
 
-/// Log likelihoods of the states that one utterance's graph has.
-struct Likelihoods {
-    /// Column of each joint state.
-    column: Vec<usize>,
-    states: Vec<usize>,
-    log: Array2<f32>,
+/// Adds occupancies of joint states, shared among the components (eq. A.15), frame by frame.
+struct Gatherer<'a> {
+    likelihoods: &'a Likelihoods<'a>,
+    observations: &'a Array2<f32>,
+    /// γ of each column in the present frame, and the columns that have any.
+    occupancy: Vec<f64>,
+    touched: Vec<usize>,
+    powers: Vec<[f64; 2]>,
 }
 
-impl Likelihoods {
-    fn new(
-        of: impl Iterator<Item = usize> + Clone,
-        evaluator: &Evaluator,
-        observations: &Array2<f32>,
-    ) -> Self {
-        let mut states: Vec<usize> = of.clone().collect();
-        states.sort_unstable();
-        states.dedup();
-        let column = of
-            .map(|s| states.binary_search(&s).expect("the state was just collected"))
-            .collect();
-        let log = evaluator.log_likelihoods(&states, observations.view());
-        Self { column, states, log }
+impl<'a> Gatherer<'a> {
+    fn new(likelihoods: &'a Likelihoods<'a>, observations: &'a Array2<f32>) -> Self {
+        Self {
+            likelihoods,
+            observations,
+            occupancy: vec![0.0; likelihoods.states().len()],
+            touched: Vec::new(),
+            powers: Vec::new(),
+        }
     }
 
-    /// Adds occupancies, shared among the components (eq. A.15).
-    fn accumulate(
-        &self,
-        gamma: &Array2<f64>,
-        evaluator: &Evaluator,
-        observations: &Array2<f32>,
-        sums: &mut Accumulator,
-    ) {
-        let mut parts = vec![0.0f32; evaluator.components()];
-        let mut per_state = vec![0.0f64; self.states.len()];
-        for (t, joint) in gamma.outer_iter().enumerate() {
-            per_state.fill(0.0);
-            for (s, &occupancy) in joint.iter().enumerate() {
-                per_state[self.column[s]] += occupancy;
-            }
-            let observation = row(observations.row(t));
-            for (column, &occupancy) in per_state.iter().enumerate() {
-                if occupancy < LEAST_OCCUPANCY {
-                    continue;
+    /// Occupancies `gamma` of the joint states `first..` at frame t.
+    fn frame(&mut self, t: usize, first: usize, gamma: &[f64], sums: &mut Accumulator) {
+        for (s, &occupancy) in gamma.iter().enumerate() {
+            if occupancy > 0.0 {
+                let column = self.likelihoods.column(first + s);
+                if self.occupancy[column] == 0.0 {
+                    self.touched.push(column);
                 }
-                let state = self.states[column];
-                let total = evaluator.log_components(state, observation, &mut parts);
-                for (k, &log) in parts.iter().enumerate() {
-                    let share = occupancy * f64::from((log - total).exp());
-                    if share >= LEAST_OCCUPANCY {
-                        sums.add(state, k, share, observation);
-                    }
-                }
+                self.occupancy[column] += occupancy;
             }
+        }
+        self.powers.clear();
+        self.powers.extend(density::powers(row(self.observations.row(t))));
+        for column in self.touched.drain(..) {
+            let occupancy = std::mem::take(&mut self.occupancy[column]);
+            if occupancy < LEAST_OCCUPANCY {
+                continue;
+            }
+            let state = self.likelihoods.states()[column];
+            self.likelihoods.shares(t, column, |k, share| {
+                let share = occupancy * share;
+                if share >= LEAST_OCCUPANCY {
+                    sums.add_powers(state, k, share, &self.powers);
+                }
+            });
         }
     }
 }
@@ -231,27 +225,27 @@ impl Evaluators {
 }
 
 /// One utterance's graph, arcs and likelihoods.
-struct Laid {
+struct Laid<'a> {
     graph: Graph,
     probability: Vec<f64>,
-    audio: Likelihoods,
-    visual: Option<Likelihoods>,
+    audio: Likelihoods<'a>,
+    visual: Option<Likelihoods<'a>>,
 }
 
-impl Laid {
-    fn new(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utterance) -> Self {
+impl<'a> Laid<'a> {
+    fn new(parameters: &Parameters, evaluators: &'a Evaluators, utterance: &Utterance) -> Self {
         let graph = Graph::build(&utterance.network, parameters.topology, &parameters.phones);
         let probability = graph.probabilities(&parameters.transition);
         let audio = Likelihoods::new(
             graph.states.iter().map(|s| s.audio),
             &evaluators.audio,
-            &utterance.audio,
+            utterance.audio.view(),
         );
         let visual = match (&evaluators.visual, &utterance.visual) {
             (Some(evaluator), Some(observations)) => Some(Likelihoods::new(
                 graph.states.iter().map(|s| s.visual),
                 evaluator,
-                observations,
+                observations.view(),
             )),
             _ => None,
         };
@@ -265,12 +259,8 @@ impl Laid {
 
     fn emission(&self) -> impl Fn(usize, usize) -> f64 + '_ {
         |t, s| {
-            let audio = f64::from(self.audio.log[[t, self.audio.column[s]]]);
-            audio
-                + self
-                    .visual
-                    .as_ref()
-                    .map_or(0.0, |v| f64::from(v.log[[t, v.column[s]]]))
+            let audio = f64::from(self.audio.log(t, s));
+            audio + self.visual.as_ref().map_or(0.0, |v| f64::from(v.log(t, s)))
         }
     }
 }
@@ -282,23 +272,30 @@ fn expect_one(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utte
         sums.failed.push(utterance.id.clone());
         return;
     };
-    let transition = &mut sums.transition;
-    let gamma = forward.backward(&laid.graph, &laid.probability, |_, index, xi| {
-        let arc = laid.graph.arcs[index];
-        let state = laid.graph.states[arc.from as usize];
-        transition[[state.phone, state.class, usize::from(arc.choice)]] += xi;
-    });
     sums.log_likelihood += forward.log_likelihood;
     sums.frames += frames;
-    laid.audio
-        .accumulate(&gamma, &evaluators.audio, &utterance.audio, &mut sums.audio);
-    if let (Some(likelihoods), Some(evaluator), Some(observations), Some(sums)) = (
-        &laid.visual,
-        &evaluators.visual,
-        &utterance.visual,
-        &mut sums.visual,
-    ) {
-        likelihoods.accumulate(&gamma, evaluator, observations, sums);
+    let mut sound = Gatherer::new(&laid.audio, &utterance.audio);
+    let mut mouth = match (&laid.visual, &utterance.visual, &mut sums.visual) {
+        (Some(likelihoods), Some(observations), Some(sums)) => {
+            Some((Gatherer::new(likelihoods, observations), sums))
+        }
+        _ => None,
+    };
+    let mut taken = vec![0.0; laid.graph.arcs.len()];
+    forward.backward_each(
+        &laid.graph,
+        &laid.probability,
+        |t, first, gamma| {
+            sound.frame(t, first, gamma, &mut sums.audio);
+            if let Some((mouth, sums)) = &mut mouth {
+                mouth.frame(t, first, gamma, sums);
+            }
+        },
+        |_, index, xi| taken[index] += xi,
+    );
+    for (arc, xi) in laid.graph.arcs.iter().zip(taken) {
+        let state = laid.graph.states[arc.from as usize];
+        sums.transition[[state.phone, state.class, usize::from(arc.choice)]] += xi;
     }
 }
 

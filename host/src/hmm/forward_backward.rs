@@ -2,12 +2,19 @@
 //!
 //! Scaling: the forward variable of every frame sums to one, so it is P(q_t | o_1..t); what it was divided by adds up
 //! to the log likelihood.
+//!
+//! Nothing is pruned but what a double-precision number could not carry anyway: states whose forward variable is below
+//! [`NOTHING`]. In a left-right graph that alone leaves a narrow band of states alive in each frame; only they are
+//! visited, and only their emissions are asked for.
 use ndarray::Array2;
 
 use super::graph::Graph;
 
-/// A forward variable below this is taken as zero. Occupancies below it cannot matter.
+/// A forward variable below this is taken as zero.
 const NOTHING: f64 = 1e-150;
+
+/// Scaled in plain numbers as long as a frame's sum is above this; below it, by way of logarithms.
+const PLAIN: f64 = 1e-100;
 
 /// What the forward pass leaves: scaled forward variables and scaled emissions.
 pub struct Forward {
@@ -15,8 +22,33 @@ pub struct Forward {
     pub alpha: Array2<f64>,
     /// Emission over the frame's scale: α_t(j) = emission_t(j) · Σ_i α_{t−1}(i) a_ij.
     emission: Array2<f64>,
+    /// States that are alive in each frame lie in this range.
+    window: Vec<Window>,
     /// ln P(O), or −∞ if no path fits.
     pub log_likelihood: f64,
+}
+
+/// A range of states.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Window {
+    from: usize,
+    to: usize,
+}
+
+impl Window {
+    const EMPTY: Window = Window {
+        from: usize::MAX,
+        to: 0,
+    };
+
+    fn take_in(&mut self, state: usize) {
+        self.from = self.from.min(state);
+        self.to = self.to.max(state + 1);
+    }
+
+    fn states(self) -> std::ops::Range<usize> {
+        self.from.min(self.to)..self.to
+    }
 }
 
 /// Natural log emission of a joint state at a frame.
@@ -40,31 +72,40 @@ pub fn forward(
     let n = graph.states.len();
     let mut alpha = Array2::<f64>::zeros((frames, n));
     let mut scaled = Array2::<f64>::zeros((frames, n));
+    let mut window = vec![Window::EMPTY; frames];
     let mut predicted = vec![0.0f64; n];
+    let mut reached = Window::EMPTY;
     for &(state, log) in &graph.entries {
         predicted[state] += f64::from(log).exp();
+        reached.take_in(state);
     }
     let to_exit = frames_to_exit(graph);
     let mut log_likelihood = 0.0;
     let mut logs = vec![0.0f64; n];
+    let mut emitted = vec![0.0f64; n];
     for t in 0..frames {
         if t > 0 {
-            predicted.fill(0.0);
-            for s in 0..n {
-                let a = alpha[[t - 1, s]];
+            let before = alpha.row(t - 1);
+            let before = before.as_slice().unwrap_or(&[]);
+            reached = Window::EMPTY;
+            for s in window[t - 1].states() {
+                let a = before[s];
                 if a > 0.0 {
-                    for arc in graph.first[s]..graph.first[s + 1] {
-                        predicted[graph.arcs[arc].to as usize] += a * probability[arc];
+                    let leaving = graph.first[s]..graph.first[s + 1];
+                    for (arc, p) in graph.arcs[leaving.clone()].iter().zip(&probability[leaving]) {
+                        let to = arc.to as usize;
+                        predicted[to] += a * p;
+                        reached.take_in(to);
                     }
                 }
             }
         }
         let mut max = f64::NEG_INFINITY;
-        for s in 0..n {
+        for s in reached.states() {
             // A state too far from the end to get there in time explains nothing, and must not crowd out those that can.
             if predicted[s] > NOTHING && to_exit[s] < frames - t {
                 logs[s] = emission.log(t, s);
-                max = max.max(predicted[s].ln() + logs[s]);
+                max = max.max(logs[s]);
             } else {
                 predicted[s] = 0.0;
             }
@@ -73,20 +114,35 @@ pub fn forward(
             return None;
         }
         let mut sum = 0.0;
-        for s in 0..n {
+        for s in reached.states() {
             if predicted[s] > 0.0 {
-                sum += (predicted[s].ln() + logs[s] - max).exp();
+                emitted[s] = (logs[s] - max).exp();
+                sum += predicted[s] * emitted[s];
             }
         }
-        let scale = max + sum.ln();
-        log_likelihood += scale;
-        for s in 0..n {
-            if predicted[s] > 0.0 {
-                let e = (logs[s] - scale).exp();
-                let a = predicted[s] * e;
+        let mut log_sum = max + sum.ln();
+        if sum < PLAIN {
+            // The states that emit best are hardly reachable: scale by the best product of the two.
+            let product = |s: usize| predicted[s].ln() + logs[s];
+            let alive = || reached.states().filter(|&s| predicted[s] > 0.0);
+            let best = alive().map(product).fold(f64::NEG_INFINITY, f64::max);
+            log_sum = best + alive().map(|s| (product(s) - best).exp()).sum::<f64>().ln();
+            alive().for_each(|s| emitted[s] = (logs[s] - log_sum).exp());
+            sum = 1.0;
+        }
+        log_likelihood += log_sum;
+        let share = 1.0 / sum;
+        let mut alpha_row = alpha.row_mut(t);
+        let mut scaled_row = scaled.row_mut(t);
+        for s in reached.states() {
+            let reachable = std::mem::take(&mut predicted[s]);
+            if reachable > 0.0 {
+                let e = emitted[s] * share;
+                let a = reachable * e;
                 if a > NOTHING {
-                    alpha[[t, s]] = a;
-                    scaled[[t, s]] = e;
+                    alpha_row[s] = a;
+                    scaled_row[s] = e;
+                    window[t].take_in(s);
                 }
             }
         }
@@ -101,6 +157,7 @@ pub fn forward(
     Some(Forward {
         alpha,
         emission: scaled,
+        window,
         log_likelihood,
     })
 }
@@ -129,27 +186,55 @@ fn frames_to_exit(graph: &Graph) -> Vec<usize> {
 }
 
 impl Forward {
-    /// One step back: from β at t + 1 to β at t (eq. A.10), over states that α reaches.
-    fn step_back(&self, graph: &Graph, probability: &[f64], t: usize, beta: &[f64], out: &mut [f64]) {
-        for s in 0..graph.states.len() {
-            out[s] = 0.0;
-            if self.alpha[[t, s]] > 0.0 {
-                for arc in graph.first[s]..graph.first[s + 1] {
-                    let to = graph.arcs[arc].to as usize;
-                    let e = self.emission[[t + 1, to]];
-                    if e > 0.0 {
-                        out[s] += probability[arc] * e * beta[to];
+    /// One step back: from β at t + 1 to β at t (eq. A.10), over states that α reaches; `arc(index, β-part)` is called
+    /// for every arc with what it adds to the β of the state that it leaves.
+    ///
+    /// `beta` must be zero outside the window of t + 1; `out` is so outside that of t.
+    fn step_back(
+        &self,
+        graph: &Graph,
+        probability: &[f64],
+        t: usize,
+        beta: &mut [f64],
+        out: &mut [f64],
+        mut arc: impl FnMut(usize, usize, f64),
+    ) {
+        let ahead = self.window[t + 1].states();
+        let emission = self.emission.row(t + 1);
+        let emission = emission.as_slice().unwrap_or(&[]);
+        for s in ahead.clone() {
+            beta[s] *= emission[s];
+        }
+        let here = self.alpha.row(t);
+        let here = here.as_slice().unwrap_or(&[]);
+        for s in self.window[t].states() {
+            if here[s] > 0.0 {
+                let mut sum = 0.0;
+                for index in graph.first[s]..graph.first[s + 1] {
+                    let part = probability[index] * beta[graph.arcs[index].to as usize];
+                    if part > 0.0 {
+                        sum += part;
+                        arc(s, index, part);
                     }
                 }
+                out[s] = sum;
             }
         }
+        beta[ahead].fill(0.0);
+    }
+
+    /// One for the states that are alive.
+    fn ones(&self, graph: &Graph, t: usize) -> Vec<f64> {
+        let mut out = vec![0.0; graph.states.len()];
+        out[self.window[t].states()].fill(1.0);
+        out
     }
 
     /// β of the last frame: where an utterance may end.
     fn last_beta(&self, graph: &Graph) -> Vec<f64> {
         let frames = self.alpha.nrows();
         match &graph.exits {
-            None => vec![1.0; graph.states.len()],
+            None => self.ones(graph, frames - 1),
             Some(exits) => {
                 let total: f64 = exits.iter().map(|&s| self.alpha[[frames - 1, s]]).sum();
                 let mut beta = vec![0.0; graph.states.len()];
@@ -167,32 +252,50 @@ impl Forward {
         probability: &[f64],
         mut arc: impl FnMut(usize, usize, f64),
     ) -> Array2<f64> {
+        let mut gamma = Array2::zeros(self.alpha.dim());
+        self.backward_each(
+            graph,
+            probability,
+            |t, first, row| {
+                row.iter()
+                    .enumerate()
+                    .for_each(|(i, &g)| gamma[[t, first + i]] = g)
+            },
+            &mut arc,
+        );
+        gamma
+    }
+
+    /// [`Forward::backward`] that keeps nothing: `frame(t, s, γ_t(s..))` is called from the last frame to the first
+    /// with the occupancies of the states that are alive.
+    pub fn backward_each(
+        &self,
+        graph: &Graph,
+        probability: &[f64],
+        mut frame: impl FnMut(usize, usize, &[f64]),
+        mut arc: impl FnMut(usize, usize, f64),
+    ) {
         let (frames, n) = self.alpha.dim();
-        let mut gamma = Array2::zeros((frames, n));
+        if frames == 0 {
+            return;
+        }
         let mut beta = self.last_beta(graph);
         let mut before = vec![0.0; n];
+        let mut gamma = vec![0.0; n];
         for t in (0..frames).rev() {
+            let alpha = self.alpha.row(t);
             if t + 1 < frames {
-                self.step_back(graph, probability, t, &beta, &mut before);
-                for s in 0..n {
-                    let a = self.alpha[[t, s]];
-                    if a > 0.0 && before[s] > 0.0 {
-                        for index in graph.first[s]..graph.first[s + 1] {
-                            let to = graph.arcs[index].to as usize;
-                            let xi = a * probability[index] * self.emission[[t + 1, to]] * beta[to];
-                            if xi > 0.0 {
-                                arc(t, index, xi);
-                            }
-                        }
-                    }
-                }
+                self.step_back(graph, probability, t, &mut beta, &mut before, |s, index, part| {
+                    arc(t, index, alpha[s] * part);
+                });
                 std::mem::swap(&mut beta, &mut before);
             }
-            for s in 0..n {
-                gamma[[t, s]] = self.alpha[[t, s]] * beta[s];
+            let alive = self.window[t].states();
+            for s in alive.clone() {
+                gamma[s] = alpha[s] * beta[s];
             }
+            frame(t, alive.start, &gamma[alive]);
         }
-        gamma
     }
 
     /// Occupancies when only `lag` frames after each frame are known: P(q_t | o_1..t+lag).
@@ -205,14 +308,17 @@ impl Forward {
             if end == frames - 1 {
                 beta.copy_from_slice(&self.last_beta(graph));
             } else {
-                beta.fill(1.0);
+                beta.fill(0.0);
+                beta[self.window[end].states()].fill(1.0);
             }
+            before.fill(0.0);
             for u in (t..end).rev() {
-                self.step_back(graph, probability, u, &beta, &mut before);
+                self.step_back(graph, probability, u, &mut beta, &mut before, |_, _, _| ());
                 std::mem::swap(&mut beta, &mut before);
             }
-            let sum: f64 = (0..n).map(|s| self.alpha[[t, s]] * beta[s]).sum();
-            for s in 0..n {
+            let alive = self.window[t].states();
+            let sum: f64 = alive.clone().map(|s| self.alpha[[t, s]] * beta[s]).sum();
+            for s in alive {
                 gamma[[t, s]] = self.alpha[[t, s]] * beta[s] / sum;
             }
         }
@@ -364,6 +470,64 @@ mod tests {
             assert!(arcs.iter().zip(&xi).all(|(a, b)| (a - b).abs() < 1e-9));
             let long = f.fixed_lag(&tiny.graph, &tiny.probability, frames);
             assert!((&long - &gamma).iter().all(|d| d.abs() < 1e-9));
+        }
+    }
+
+    /// ln Σ exp of two.
+    fn log_add(a: f64, b: f64) -> f64 {
+        let (low, high) = if a < b { (a, b) } else { (b, a) };
+        if low == f64::NEG_INFINITY {
+            return high;
+        }
+        high + (low - high).exp().ln_1p()
+    }
+
+    #[test]
+    fn what_no_number_can_carry_does_not_count() {
+        // Emissions as far apart as those of speech (the right state some 25 nats above the others, sometimes below):
+        // here most states die in every frame. The reference keeps every state of every frame, in logarithms.
+        let mut rng = Pcg64::seed_from_u64(8);
+        let phones: Vec<Phone> = Phone::all().take(9).collect();
+        let said: Vec<usize> = (0..20).map(|_| rng.random_range(0..9)).collect();
+        let graph = Graph::build(&PhoneNetwork::chain(&said), Topology::PH_HMM, &phones);
+        let n = graph.states.len();
+        let table = crate::hmm::em::start_transitions(Topology::PH_HMM, 9);
+        let probability = graph.probabilities(&table);
+        let path: Vec<usize> = (0..n)
+            .flat_map(|s| std::iter::repeat_n(s, rng.random_range(1..5)))
+            .collect();
+        let frames = path.len();
+        let log = Array2::from_shape_fn((frames, n), |(t, s)| {
+            rng.random_range(-50.0..-20.0) + if s == path[t] { 20.0 } else { 0.0 }
+        });
+        let f = forward(&graph, &probability, frames, &|t: usize, s: usize| log[[t, s]]).unwrap();
+        let mut sums = vec![0.0; graph.arcs.len()];
+        let gamma = f.backward(&graph, &probability, |_, a, xi| sums[a] += xi);
+        let alive = f.alpha.iter().filter(|a| **a > 0.0).count();
+        assert!(alive * 3 < frames * n, "{alive} of {}", frames * n);
+
+        let mut ahead = Array2::from_elem((frames, n), f64::NEG_INFINITY);
+        let mut after = ahead.clone();
+        ahead[[0, 0]] = log[[0, 0]];
+        after[[frames - 1, n - 1]] = 0.0;
+        for t in 1..frames {
+            for (arc, p) in graph.arcs.iter().zip(&probability) {
+                let (from, to) = (arc.from as usize, arc.to as usize);
+                ahead[[t, to]] = log_add(ahead[[t, to]], ahead[[t - 1, from]] + p.ln() + log[[t, to]]);
+            }
+            let u = frames - 1 - t;
+            for (arc, p) in graph.arcs.iter().zip(&probability) {
+                let (from, to) = (arc.from as usize, arc.to as usize);
+                after[[u, from]] = log_add(after[[u, from]], p.ln() + log[[u + 1, to]] + after[[u + 1, to]]);
+            }
+        }
+        let total = ahead[[frames - 1, n - 1]];
+        assert!((total - f.log_likelihood).abs() < 1e-9 * total.abs());
+        for t in 0..frames {
+            for s in 0..n {
+                let want = (ahead[[t, s]] + after[[t, s]] - total).exp();
+                assert!((gamma[[t, s]] - want).abs() < 1e-9, "{t} {s}");
+            }
         }
     }
 

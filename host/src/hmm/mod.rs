@@ -5,6 +5,7 @@
 pub mod convert;
 pub mod density;
 pub mod em;
+pub mod evaluator;
 pub mod forward_backward;
 pub mod graph;
 pub mod network;
