@@ -126,6 +126,13 @@ impl Graph {
     }
 }
 
+/// Choices that leave a joint state, and how far each chain goes.
+const ADVANCES: [(usize, usize, usize); 3] = [
+    (choice::AUDIO_ADVANCES, 1, 0),
+    (choice::VISUAL_ADVANCES, 0, 1),
+    (choice::BOTH_ADVANCE, 1, 1),
+];
+
 struct Builder<'a> {
     network: &'a PhoneNetwork,
     topology: Topology,
@@ -187,12 +194,21 @@ impl Builder<'_> {
                     }
                 }
             }
+            (Key::Inside(node, i, j), Pairing::Free) => {
+                let last = N_EMITTING - 1;
+                if (i, j) == (last, last) {
+                    for (next, weight) in self.network.successors[node].clone() {
+                        arc(self.state(Key::Inside(next, 0, 0)), choice::BOTH_ADVANCE, weight);
+                    }
+                }
+                for (choice, i2, j2) in ADVANCES.map(|(choice, a, v)| (choice, i + a, j + v)) {
+                    if i2 <= last && j2 <= last {
+                        arc(self.state(Key::Inside(node, i2, j2)), choice, 0.0);
+                    }
+                }
+            }
             (Key::Inside(node, i, j), Pairing::Band) => {
-                for (choice, i2, j2) in [
-                    (choice::AUDIO_ADVANCES, i + 1, j),
-                    (choice::VISUAL_ADVANCES, i, j + 1),
-                    (choice::BOTH_ADVANCE, i + 1, j + 1),
-                ] {
+                for (choice, i2, j2) in ADVANCES.map(|(choice, a, v)| (choice, i + a, j + v)) {
                     if i2.abs_diff(j2) <= 1 {
                         self.enter(node, i2, j2, choice, arc);
                     }
@@ -275,6 +291,14 @@ mod tests {
     use super::*;
     use ndarray::Array2;
 
+    const ALL: [Topology; 5] = [
+        Topology::PH_HMM,
+        Topology::PH_FHMM,
+        Topology::PH_VI_FHMM,
+        Topology::PH_CHMM,
+        Topology::PH_VI_CHMM,
+    ];
+
     fn phone_loop(n: usize) -> (PhoneNetwork, Vec<Phone>) {
         let uniform = -(n as f32).ln();
         let phones = Phone::all().take(n).collect();
@@ -297,11 +321,14 @@ mod tests {
         let (network, phones) = phone_loop(47);
         let graph = Graph::build(&network, Topology::PH_VI_CHMM, &phones);
         assert_eq!(graph.states.len(), 47 * 13 + 2 * 47 * 13);
+        let by_phones = Graph::build(&network, Topology::PH_CHMM, &phones);
+        assert_eq!(by_phones.states.len(), 47 * 13 + 2 * 47 * 47);
+        assert_eq!(Graph::build(&network, Topology::PH_FHMM, &phones).states.len(), 47 * 25);
     }
 
     #[test]
     fn probability_is_conserved() {
-        for topology in [Topology::PH_VI_CHMM, Topology::PH_HMM] {
+        for topology in ALL {
             let (network, phones) = phone_loop(9);
             let graph = Graph::build(&network, topology, &phones);
             let p = graph.probabilities(&uniform_transitions(topology, 9));
@@ -315,14 +342,15 @@ mod tests {
     #[test]
     fn every_arc_obeys_the_table() {
         let (network, phones) = phone_loop(9);
-        let topology = Topology::PH_VI_CHMM;
-        let graph = Graph::build(&network, topology, &phones);
-        for arc in &graph.arcs {
-            let state = graph.states[arc.from as usize];
-            assert!(
-                topology.allowed(state.class)[usize::from(arc.choice)],
-                "{state:?} {arc:?}"
-            );
+        for topology in ALL {
+            let graph = Graph::build(&network, topology, &phones);
+            for arc in &graph.arcs {
+                let state = graph.states[arc.from as usize];
+                assert!(
+                    topology.allowed(state.class)[usize::from(arc.choice)],
+                    "{topology:?} {state:?} {arc:?}"
+                );
+            }
         }
     }
 

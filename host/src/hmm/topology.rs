@@ -5,8 +5,11 @@ use crate::phones::Phone;
 /// Pairs of an audio state and a visual state that a system allows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairing {
-    /// a = v: one chain (ph-HMM, ph-MSHMM, and the audio HMM by itself).
+    /// a = v: one chain (ph-HMM, ph-MSHMM, and the audio HMM by itself; eq. 17).
     Equal,
+    /// Any pair inside one phone; each chain advances by its own probability (FHMM, eq. 18). Both leave the phone
+    /// together.
+    Free,
     /// |a − v| ≤ 1 along the unrolled path, across phone borders too (CHMM, eq. 19).
     Band,
 }
@@ -31,6 +34,21 @@ impl Topology {
         pairing: Pairing::Band,
         visual: VisualAtom::Viseme,
     };
+    /// Coupled chains, both over the phones.
+    pub const PH_CHMM: Topology = Topology {
+        pairing: Pairing::Band,
+        visual: VisualAtom::Phone,
+    };
+    /// Independent chains inside a phone, viseme states for the mouth.
+    pub const PH_VI_FHMM: Topology = Topology {
+        pairing: Pairing::Free,
+        visual: VisualAtom::Viseme,
+    };
+    /// Independent chains inside a phone.
+    pub const PH_FHMM: Topology = Topology {
+        pairing: Pairing::Free,
+        visual: VisualAtom::Phone,
+    };
     /// One chain over the phones.
     pub const PH_HMM: Topology = Topology {
         pairing: Pairing::Equal,
@@ -41,6 +59,7 @@ impl Topology {
     pub fn classes_per_phone(self) -> usize {
         match self.pairing {
             Pairing::Equal => N_EMITTING,
+            Pairing::Free => N_EMITTING * N_EMITTING,
             Pairing::Band => N_TRANSITION_CLASSES,
         }
     }
@@ -49,6 +68,7 @@ impl Topology {
     pub fn inside_class(self, audio: usize, visual: usize) -> usize {
         match self.pairing {
             Pairing::Equal => audio,
+            Pairing::Free => N_EMITTING * audio + visual,
             Pairing::Band => pair_class(audio, visual),
         }
     }
@@ -58,27 +78,32 @@ impl Topology {
         let all = (0..N_EMITTING).flat_map(|i| (0..N_EMITTING).map(move |j| (i, j)));
         match self.pairing {
             Pairing::Equal => all.filter(|(i, j)| i == j).collect(),
+            Pairing::Free => all.collect(),
             Pairing::Band => all.filter(|(i, j)| i.abs_diff(*j) <= 1).collect(),
         }
     }
 
     /// Which of the four choices a row of the transition table allows.
     pub fn allowed(self, class: usize) -> [bool; 4] {
+        let (audio, visual, both) = match (self.pairing, class) {
+            (Pairing::Equal, _) => (false, false, true),
+            (Pairing::Free, _) => {
+                const LAST: usize = N_EMITTING - 1;
+                let (i, j) = (class / N_EMITTING, class % N_EMITTING);
+                (i < LAST, j < LAST, (i < LAST) == (j < LAST))
+            }
+            (Pairing::Band, MOUTH_LEADS) => (true, false, true),
+            (Pairing::Band, SOUND_LEADS) => (false, true, true),
+            (Pairing::Band, _) => {
+                let (i, j) = self.inside_pairs()[class];
+                (i <= j, j <= i, true)
+            }
+        };
         let mut allowed = [false; 4];
         allowed[choice::STAY] = true;
-        allowed[choice::BOTH_ADVANCE] = true;
-        if self.pairing == Pairing::Equal {
-            return allowed;
-        }
-        match class {
-            MOUTH_LEADS => allowed[choice::AUDIO_ADVANCES] = true,
-            SOUND_LEADS => allowed[choice::VISUAL_ADVANCES] = true,
-            _ => {
-                let (i, j) = self.inside_pairs()[class];
-                allowed[choice::AUDIO_ADVANCES] = i <= j;
-                allowed[choice::VISUAL_ADVANCES] = j <= i;
-            }
-        }
+        allowed[choice::AUDIO_ADVANCES] = audio;
+        allowed[choice::VISUAL_ADVANCES] = visual;
+        allowed[choice::BOTH_ADVANCE] = both;
         allowed
     }
 
@@ -112,6 +137,15 @@ mod tests {
         for (class, (i, j)) in pairs.into_iter().enumerate() {
             assert_eq!(t.inside_class(i, j), class);
         }
+    }
+
+    #[test]
+    fn free_chains_leave_a_phone_together() {
+        let t = Topology::PH_FHMM;
+        let last = N_EMITTING - 1;
+        assert_eq!(t.allowed(t.inside_class(last, last)), [true, false, false, true]);
+        assert_eq!(t.allowed(t.inside_class(last, 0)), [true, false, true, false]);
+        assert_eq!(t.allowed(t.inside_class(0, 3)), [true; 4]);
     }
 
     #[test]
