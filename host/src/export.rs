@@ -15,6 +15,7 @@ use lipstream_core::{N_OBSERVATION, N_STATIC};
 use ndarray::Axis;
 use serde::Serialize;
 
+use crate::hmm::system::System;
 use crate::model::{Mixtures, Model};
 use crate::phones::VISEMES;
 
@@ -120,6 +121,13 @@ impl Errors {
 
 /// Quantises `model`.
 pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
+    if !model.system.is_live() {
+        bail!(
+            "the device cannot run a model of system {}: train one with `--system {}`",
+            model.system.name,
+            System::LOCAL_LINEAR.name
+        );
+    }
     let mut tables = Tables::new(model)?;
     tables.put_header_sections(model, with)?;
     let distance_gain = tables.put_densities(&model.audio)?;

@@ -5,12 +5,13 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail};
 use ndarray::{Array1, Array2, Array3};
 
+use crate::hmm::system::{Density, System};
 use crate::mouth::MouthSpace;
 use crate::phones::Phone;
 use crate::tensors::{Tensors, TensorsBuilder};
 
 /// Version of the float model file.
-pub const MODEL_VERSION: u32 = 1;
+pub const MODEL_VERSION: u32 = 2;
 /// Emitting states of a phone or a viseme (X&L section 7.1).
 pub const N_EMITTING: usize = 5;
 /// Transition classes of one phone: 13 inside, mouth leads, sound leads. See [`transition_class`].
@@ -82,17 +83,52 @@ pub struct Following {
     pub lag: usize,
 }
 
+/// Which M step conversion takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MStep {
+    /// The exact one: a component counts by its occupancy.
+    Exact,
+    /// X&L eq. 9 as printed: a component counts by its occupancy times its weight.
+    Printed,
+}
+
+/// How conversion by means goes (X&L section 4): chosen on validation data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EmSettings {
+    /// Exponent of the audio likelihood.
+    pub acoustic_scale: f32,
+    /// Exponent of the visual likelihood; 0: the mouth says nothing about the states.
+    pub visual_exponent: f32,
+    /// EM iterations after the best path's centres.
+    pub iterations: usize,
+    pub m_step: MStep,
+}
+
+impl Default for EmSettings {
+    fn default() -> Self {
+        Self {
+            acoustic_scale: 0.1,
+            visual_exponent: 0.0,
+            iterations: 1,
+            m_step: MStep::Exact,
+        }
+    }
+}
+
 /// Everything that training learns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
+    /// What it is: which joint states exist, and how it speaks.
+    pub system: System,
     /// Phones that the model knows, in table order; audio state = 5·(index here) + i.
     pub phones: Vec<Phone>,
     /// Causal normalisation: mean of the raw statics that a stream starts from, `[13]`.
     pub start_mean: Array1<f32>,
     pub audio: Mixtures,
-    /// One per viseme state: 5·viseme + j.
+    /// One per visual state: 5·viseme + j, or 5·phone + j where both chains are over phones. In a joint density its
+    /// components belong to those of `audio`.
     pub visual: Mixtures,
-    /// Natural log, `[phones, 15, 4]` by class and choice.
+    /// Natural log, `[phones, classes, 4]` by class and choice; 15 classes where the chains are coupled.
     pub transition: Array3<f32>,
     /// Natural log of P(next | phone), `[phones, phones]`.
     pub bigram: Array2<f32>,
@@ -101,6 +137,7 @@ pub struct Model {
     pub context: ContextMap,
     pub maps: LocalLinear,
     pub following: Following,
+    pub conversion: EmSettings,
     /// Absent in a model trained on plain visual numbers.
     pub mouth: Option<MouthSpace>,
     /// Where the model comes from: corpus, settings, date. For people.
@@ -127,7 +164,8 @@ impl Model {
 
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
-        out.note("kind", "local-linear ph-vi-chmm");
+        out.note("kind", "hmm");
+        out.note("system", self.system.name);
         out.note("version", MODEL_VERSION);
         out.note("provenance", &self.provenance);
         out.note("phones", join(self.phones.iter().map(|p| p.name())));
@@ -137,6 +175,9 @@ impl Model {
         );
         out.note("following.acoustic_scale", self.following.acoustic_scale);
         out.note("following.lag", self.following.lag);
+        out.note("conversion.acoustic_scale", self.conversion.acoustic_scale);
+        out.note("conversion.visual_exponent", self.conversion.visual_exponent);
+        out.note("conversion.iterations", self.conversion.iterations);
         out.put("start_mean", &self.start_mean);
         for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
             out.put(&format!("{name}.mean"), &mixtures.mean);
@@ -166,6 +207,9 @@ impl Model {
         if version != MODEL_VERSION {
             bail!("model version {version}, this program reads {MODEL_VERSION}: train it again");
         }
+        let name: String = from.noted("system")?;
+        let system =
+            System::from_name(&name).with_context(|| format!("it holds the unknown system {name:?}"))?;
         let names: String = from.noted("phones")?;
         let mut phones = Vec::new();
         for name in names.split_whitespace() {
@@ -184,6 +228,7 @@ impl Model {
             })
         };
         let model = Model {
+            system,
             phones,
             start_mean: from.array("start_mean")?,
             audio: mixtures("audio")?,
@@ -204,6 +249,12 @@ impl Model {
                 acoustic_scale: from.noted("following.acoustic_scale")?,
                 lag: from.noted("following.lag")?,
             },
+            conversion: EmSettings {
+                acoustic_scale: from.noted("conversion.acoustic_scale")?,
+                visual_exponent: from.noted("conversion.visual_exponent")?,
+                iterations: from.noted("conversion.iterations")?,
+                m_step: MStep::Exact,
+            },
             mouth: if from.has("mouth.mean") {
                 Some(MouthSpace::load(from)?)
             } else {
@@ -219,7 +270,7 @@ impl Model {
     fn check(&self) -> Result<()> {
         use lipstream_core::{N_OBSERVATION, N_STATIC};
         let (p, s) = (self.phones.len(), self.n_audio_states());
-        let n_visual = crate::phones::VISEMES.len() * N_EMITTING;
+        let n_visual = self.system.topology.n_visual_states(p);
         let (d, x) = (self.visual_size(), self.context.projection.nrows());
         let stacked = self.context.taps.len() * N_STATIC;
         let shapes = [
@@ -236,7 +287,7 @@ impl Model {
             ),
             (
                 "transition",
-                vec![p, N_TRANSITION_CLASSES, 4],
+                vec![p, self.system.topology.classes_per_phone(), 4],
                 self.transition.shape().to_vec(),
             ),
             ("bigram", vec![p, p], self.bigram.shape().to_vec()),
@@ -269,13 +320,21 @@ impl Model {
                 bail!("the {name} mixtures hold a variance that is not positive");
             }
         }
+        if self.system.density == Density::Joint && self.audio.mean.dim().1 != self.visual.mean.dim().1 {
+            bail!("a joint density has as many components for the sound as for the mouth");
+        }
         if self.mouth.as_ref().is_some_and(|m| m.size() != d) {
             bail!("the mouth has another number of eigenmouths than the maps have rows");
         }
-        if !(self.following.acoustic_scale > 0.0 && self.following.acoustic_scale <= 1.0) {
+        for scale in [self.following.acoustic_scale, self.conversion.acoustic_scale] {
+            if !(scale > 0.0 && scale <= 1.0) {
+                bail!("the acoustic scale {scale} is not in (0, 1]");
+            }
+        }
+        if !(0.0..=1.0).contains(&self.conversion.visual_exponent) {
             bail!(
-                "the acoustic scale {} is not in (0, 1]",
-                self.following.acoustic_scale
+                "the visual exponent {} is not in [0, 1]",
+                self.conversion.visual_exponent
             );
         }
         if !self.context.taps.is_sorted() {

@@ -3,8 +3,11 @@ use lipstream_core::{N_OBSERVATION, N_STATIC};
 use ndarray::{Array1, Array2, Array3};
 use rand::{Rng, RngExt};
 
+use crate::hmm::system::System;
 use crate::hmm::topology::Topology;
-use crate::model::{ContextMap, Following, LocalLinear, Mixtures, Model, N_EMITTING, N_TRANSITION_CLASSES};
+use crate::model::{
+    ContextMap, EmSettings, Following, LocalLinear, Mixtures, Model, N_EMITTING, N_TRANSITION_CLASSES,
+};
 use crate::phones::{Phone, VISEMES};
 
 /// Sizes of a random model.
@@ -77,6 +80,7 @@ pub fn model(sizes: &Sizes, spread: f32, rng: &mut impl Rng) -> Model {
         log_weight: Array2::zeros((n_visual, 1)),
     };
     Model {
+        system: System::LOCAL_LINEAR,
         phones: sizes.phones.clone(),
         start_mean: Array1::from_shape_fn(N_STATIC, |i| if i == 12 { 15.0 } else { 5.0 - i as f32 }),
         audio,
@@ -102,6 +106,7 @@ pub fn model(sizes: &Sizes, spread: f32, rng: &mut impl Rng) -> Model {
             acoustic_scale: 1.0,
             lag: 4,
         },
+        conversion: EmSettings::default(),
         mouth: None,
         provenance: "random numbers".to_owned(),
     }

@@ -1,12 +1,13 @@
 //! `lipstream train`: features to a model.
 use std::path::PathBuf;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 
 use crate::features::FeatureFolder;
+use crate::hmm::system::{SYSTEMS, System};
 use crate::train::{self, Settings};
 
-/// Train a model: a coupled HMM over phones and visemes with local linear visual maps
+/// Train a model: a coupled HMM over phones and visemes with local linear visual maps, or another of the papers' systems
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Feature folder with video (made by `lipstream prepare`)
@@ -17,10 +18,13 @@ pub(crate) struct Args {
     /// Model to write
     #[arg(short, long, value_name = "MODEL.safetensors")]
     output: PathBuf,
-    /// Gaussians per audio state, a power of two
+    /// System to train
+    #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
+    system: System,
+    /// Most Gaussians per audio state, a power of two; the validation clips choose
     #[arg(long, default_value_t = Settings::default().audio_mixtures)]
     audio_mixtures: usize,
-    /// Gaussians per visual state, a power of two
+    /// Most Gaussians per visual state, a power of two; the validation clips choose
     #[arg(long, default_value_t = Settings::default().visual_mixtures)]
     visual_mixtures: usize,
     /// EM passes after the start and after every split
@@ -29,6 +33,19 @@ pub(crate) struct Args {
     /// Frames of 10 ms that the choice of states waits, beyond the 40 ms of ΔΔ
     #[arg(long, default_value_t = Settings::default().lag)]
     lag: usize,
+    /// Train on so many of the clips with video, drawn by the seed [default: all]
+    #[arg(long)]
+    clips: Option<usize>,
+    /// Seed of what is drawn: clips, and where it is not 0 the directions in which components split
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+}
+
+fn system(name: &str) -> Result<System> {
+    System::from_name(name).with_context(|| {
+        let names: Vec<&str> = SYSTEMS.iter().map(|s| s.name).collect();
+        format!("there are {}", names.join(", "))
+    })
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -39,10 +56,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
         .map(|path| FeatureFolder::open(path))
         .collect::<Result<Vec<_>>>()?;
     let settings = Settings {
+        system: args.system,
         audio_mixtures: args.audio_mixtures,
         visual_mixtures: args.visual_mixtures,
         iterations: args.iterations,
         lag: args.lag,
+        clips: args.clips,
+        seed: args.seed,
         ..Settings::default()
     };
     let begun = std::time::Instant::now();

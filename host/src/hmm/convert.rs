@@ -1,15 +1,18 @@
-//! Conversion in floats: the phone loop followed by the audio alone, and the local linear maps it chooses
-//! (DESIGN sections 5 and 6). What `core` does in integers, without beam or rounding.
+//! Conversion in floats: the phone loop followed by the sound alone, and the local linear maps that it chooses
+//! (DESIGN sections 5 and 6): what `core` does in integers, without beam or rounding. Systems that speak by means are
+//! in [`super::inversion`].
 use anyhow::{Result, bail};
 use ndarray::{Array2, Axis, s};
 
+use super::Hmm;
 use super::density::Evaluator;
 use super::forward_backward::forward;
 use super::graph::Graph;
-use super::network::PhoneNetwork;
-use super::topology::Topology;
+use super::inversion::Inverter;
+use super::system::Speech;
+use super::topology::{Topology, VisualAtom};
 use crate::local_linear;
-use crate::model::{Mixtures, Model, N_EMITTING};
+use crate::model::{Model, N_EMITTING};
 use crate::phones::{Phone, VISEMES};
 
 /// How much of the future an occupancy may know.
@@ -21,58 +24,48 @@ pub enum Lag {
     Frames(usize),
 }
 
-/// A model laid out over the phone loop, ready to follow speech.
+/// An HMM laid out over the phone loop, ready to follow speech.
 pub struct Follower {
     graph: Graph,
     probability: Vec<f64>,
     audio: Evaluator,
     n_audio_states: usize,
+    n_visual_states: usize,
     acoustic_scale: f64,
 }
 
 impl Follower {
-    /// From the parts of a model; `transition` is `[phones, 15, 4]`, natural logs throughout.
-    pub fn new(
-        phones: &[Phone],
-        audio: &Mixtures,
-        transition: &ndarray::Array3<f32>,
-        initial: &[f32],
-        bigram: &Array2<f32>,
-        acoustic_scale: f32,
-    ) -> Self {
-        let network = PhoneNetwork::phone_loop(initial, bigram);
-        let graph = Graph::build(&network, Topology::PH_VI_CHMM, phones);
-        let probability = graph.probabilities(transition);
+    pub fn new(hmm: &Hmm, acoustic_scale: f32) -> Self {
+        let (graph, probability) = hmm.phone_loop();
         Self {
             graph,
             probability,
-            audio: Evaluator::new(audio),
-            n_audio_states: phones.len() * N_EMITTING,
+            audio: Evaluator::new(hmm.audio),
+            n_audio_states: hmm.phones.len() * N_EMITTING,
+            n_visual_states: hmm.n_visual_states(),
             acoustic_scale: f64::from(acoustic_scale),
         }
     }
 
     pub fn of_model(model: &Model) -> Self {
-        Self::new(
-            &model.phones,
-            &model.audio,
-            &model.transition,
-            &model.initial.to_vec(),
-            &model.bigram,
-            model.following.acoustic_scale,
-        )
+        Self::new(&Hmm::of_model(model), model.following.acoustic_scale)
     }
 
-    /// Occupancies of the audio states `[frames, 5·phones]` and of the visual states `[frames, 65]`.
+    /// ln b_a(o) of every audio state, `[frames, 5·phones]`, without the acoustic scale.
+    pub fn log_likelihoods(&self, observations: &Array2<f32>) -> Array2<f32> {
+        let states: Vec<usize> = (0..self.n_audio_states).collect();
+        self.audio.log_likelihoods(&states, observations.view())
+    }
+
+    /// Occupancies of the audio states `[frames, 5·phones]` and of the visual states `[frames, visual states]`.
     pub fn occupancies(&self, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
         let frames = observations.nrows();
         let mut audio = Array2::zeros((frames, self.n_audio_states));
-        let mut visual = Array2::zeros((frames, VISEMES.len() * N_EMITTING));
+        let mut visual = Array2::zeros((frames, self.n_visual_states));
         if frames == 0 {
             return Ok((audio, visual));
         }
-        let states: Vec<usize> = (0..self.n_audio_states).collect();
-        let log = self.audio.log_likelihoods(&states, observations.view());
+        let log = self.log_likelihoods(observations);
         let emission =
             |t: usize, s: usize| self.acoustic_scale * f64::from(log[[t, self.graph.states[s].audio]]);
         let Some(forward) = forward(&self.graph, &self.probability, frames, &emission) else {
@@ -92,12 +85,26 @@ impl Follower {
     }
 }
 
-/// Mouth parameters `[frames, D]` and viseme weights `[frames, 13]` of one utterance's observations `[frames, 39]`.
+/// Mouth parameters `[frames, D]` and viseme weights `[frames, 13]` of one utterance's observations `[frames, 39]`,
+/// spoken as the model's system speaks. Systems without a lag hear the whole utterance.
 pub fn convert(model: &Model, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
-    convert_with(&Follower::of_model(model), model, observations, lag)
+    match model.system.speech {
+        Speech::LocalLinear => convert_with(&Follower::of_model(model), model, observations, lag),
+        Speech::Means => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            let (spoken, visual) = inverter.convert(observations, &model.conversion)?;
+            Ok((smooth(&spoken), viseme_weights(model, &visual)))
+        }
+        Speech::Viterbi => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            let spoken = inverter.best_path(observations, model.conversion.acoustic_scale)?;
+            let (_, visual) = Follower::of_model(model).occupancies(observations, Lag::Whole)?;
+            Ok((smooth(&spoken), viseme_weights(model, &visual)))
+        }
+    }
 }
 
-/// [`convert`] with a follower that is kept for many utterances.
+/// Local linear conversion with a follower that is kept for many utterances.
 pub fn convert_with(
     follower: &Follower,
     model: &Model,
@@ -108,16 +115,27 @@ pub fn convert_with(
     let statics = observations.slice(s![.., ..lipstream_core::N_STATIC]);
     let x = local_linear::project(&model.context, statics);
     let spoken = smooth(&local_linear::apply(&model.maps, &x, &visual));
-    Ok((spoken, viseme_weights(&visual)))
+    Ok((spoken, viseme_weights(model, &visual)))
 }
 
-/// Occupancy of each viseme: the sum over its five states.
-pub fn viseme_weights(visual: &Array2<f32>) -> Array2<f32> {
-    let frames = visual.nrows();
-    let by_viseme = visual
-        .to_shape((frames, VISEMES.len(), N_EMITTING))
-        .expect("five states of each viseme stand side by side");
-    by_viseme.sum_axis(Axis(2))
+/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states.
+pub fn viseme_weights(model: &Model, visual: &Array2<f32>) -> Array2<f32> {
+    by_viseme(model.system.topology, &model.phones, visual)
+}
+
+/// The sum over the five states of each visual atom, and over the phones of a viseme where the atoms are phones.
+fn by_viseme(topology: Topology, phones: &[Phone], visual: &Array2<f32>) -> Array2<f32> {
+    let mut out = Array2::zeros((visual.nrows(), VISEMES.len()));
+    for (state, column) in visual.axis_iter(Axis(1)).enumerate() {
+        let atom = state / N_EMITTING;
+        let viseme = match topology.visual {
+            VisualAtom::Viseme => atom,
+            VisualAtom::Phone => usize::from(phones[atom].viseme().0),
+        };
+        let mut weight = out.column_mut(viseme);
+        weight += &column;
+    }
+    out
 }
 
 /// Moving average over 3 frames (X&L section 6), edges over what there is.

@@ -1,5 +1,7 @@
 //! Mixtures of diagonal Gaussians (X&L eq. 1): accumulators, re-estimation (eq. A.12-A.14), splitting.
 use ndarray::{Array1, Array2, Array3, Axis};
+use rand::RngExt;
+use rand_pcg::Pcg64;
 
 pub use super::evaluator::Evaluator;
 use crate::model::Mixtures;
@@ -124,8 +126,14 @@ pub fn reestimate(mixtures: &mut Mixtures, sums: &Accumulator, floors: &Floors) 
 
 /// Doubles the number of components: each becomes two, ±0.2 standard deviations apart (HTK's MU).
 ///
-/// A component with fewer than `enough` frames in `sums` is not split; its twin has no weight.
-pub fn split(mixtures: &Mixtures, sums: &Accumulator, enough: f64) -> Mixtures {
+/// A component with fewer than `enough` frames in `sums` is not split; its twin has no weight. `signs` draws the
+/// direction along every dimension; without it the components part along the diagonal.
+pub fn split(
+    mixtures: &Mixtures,
+    sums: &Accumulator,
+    enough: f64,
+    mut signs: Option<&mut Pcg64>,
+) -> Mixtures {
     let (states, components, dimensions) = mixtures.mean.dim();
     let mut out = Mixtures {
         mean: Array3::zeros((states, 2 * components, dimensions)),
@@ -136,11 +144,17 @@ pub fn split(mixtures: &Mixtures, sums: &Accumulator, enough: f64) -> Mixtures {
         for k in 0..components {
             let divide =
                 sums.occupancy[[s, k]] >= enough && mixtures.log_weight[[s, k]] > Mixtures::NO_WEIGHT;
+            let side: Vec<f32> = (0..dimensions)
+                .map(|_| {
+                    let reversed = signs.as_mut().is_some_and(|rng| rng.random_bool(0.5));
+                    if reversed { -0.2 } else { 0.2 }
+                })
+                .collect();
             for half in 0..2 {
                 let to = 2 * k + half;
-                let side = if half == 0 { 0.2 } else { -0.2 };
                 for i in 0..dimensions {
                     let variance = mixtures.variance[[s, k, i]];
+                    let side = if half == 0 { side[i] } else { -side[i] };
                     let shift = if divide { side * variance.sqrt() } else { 0.0 };
                     out.mean[[s, to, i]] = mixtures.mean[[s, k, i]] + shift;
                     out.variance[[s, to, i]] = variance;
@@ -231,7 +245,7 @@ mod tests {
         let mut sums = Accumulator::for_mixtures(&m);
         sums.occupancy.fill(100.0);
         sums.occupancy[[0, 1]] = 1.0;
-        let halves = split(&m, &sums, 10.0);
+        let halves = split(&m, &sums, 10.0, None);
         let total: f32 = halves.log_weight.iter().map(|w| w.exp()).sum();
         assert!((total - 1.0).abs() < 1e-6);
         assert_eq!(halves.log_weight[[0, 3]], Mixtures::NO_WEIGHT);

@@ -414,14 +414,22 @@ fn maximise_independent(parameters: &mut Parameters, counts: &Array3<f64>) {
     for (p, &atom) in atom.iter().enumerate() {
         let before: Vec<f64> = (0..N_EMITTING)
             .map(|i| {
-                let c = if i == LAST { choice::BOTH_ADVANCE } else { choice::AUDIO_ADVANCES };
+                let c = if i == LAST {
+                    choice::BOTH_ADVANCE
+                } else {
+                    choice::AUDIO_ADVANCES
+                };
                 f64::from(parameters.transition[[p, topology.inside_class(i, LAST), c]]).exp()
             })
             .collect();
         for class in 0..N_EMITTING * N_EMITTING {
             let (i, j) = (class / N_EMITTING, class % N_EMITTING);
             let (a, v) = (N_EMITTING * p + i, N_EMITTING * atom + j);
-            let row = independent(class, chance(audio[a], before[i]), chance(visual[v], before_visual[v]));
+            let row = independent(
+                class,
+                chance(audio[a], before[i]),
+                chance(visual[v], before_visual[v]),
+            );
             for (c, log) in row.into_iter().enumerate() {
                 parameters.transition[[p, class, c]] = log;
             }

@@ -5,7 +5,7 @@
 //! the order of the dimensions: the result does not depend on the width of the machine's vectors.
 use std::cell::{Cell, RefCell};
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array2, Array3, ArrayView2};
 
 use crate::model::Mixtures;
 
@@ -135,6 +135,29 @@ impl Evaluator {
             }
         }
         out
+    }
+
+    /// ln b_s(o) of every state `[frames, states]`, and ln w_k N(o; μ_k, Σ_k) of every component
+    /// `[frames, states, K]`.
+    pub fn log_components(&self, observations: ArrayView2<f32>) -> (Array2<f32>, Array3<f32>) {
+        let (frames, states) = (observations.nrows(), self.constant.len() / self.components.max(1));
+        let mut totals = Array2::zeros((frames, states));
+        let mut all = Array3::zeros((frames, states, self.components));
+        let mut parts = vec![[0.0; BLOCK]; self.components];
+        let blocks = Blocks::new(observations);
+        for block in 0..blocks.len() {
+            let from = block * BLOCK;
+            for state in 0..states {
+                let total = self.log_block(state, blocks.block(block), &mut parts);
+                for t in from..(from + BLOCK).min(frames) {
+                    totals[[t, state]] = total[t - from];
+                    for (k, part) in parts.iter().enumerate() {
+                        all[[t, state, k]] = part[t - from];
+                    }
+                }
+            }
+        }
+        (totals, all)
     }
 }
 

@@ -323,7 +323,10 @@ mod tests {
         assert_eq!(graph.states.len(), 47 * 13 + 2 * 47 * 13);
         let by_phones = Graph::build(&network, Topology::PH_CHMM, &phones);
         assert_eq!(by_phones.states.len(), 47 * 13 + 2 * 47 * 47);
-        assert_eq!(Graph::build(&network, Topology::PH_FHMM, &phones).states.len(), 47 * 25);
+        assert_eq!(
+            Graph::build(&network, Topology::PH_FHMM, &phones).states.len(),
+            47 * 25
+        );
     }
 
     #[test]

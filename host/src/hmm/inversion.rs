@@ -1,0 +1,237 @@
+//! Conversion by means (X&L section 4): the mouth that is likeliest under the HMM and the sound, found by EM from
+//! the best path's centres; and the old way, those centres themselves.
+//!
+//! E step: γ_t(v, k) by forward-backward over the phone loop, given oᵃ and the present ôᵛ.
+//! M step: ôᵛ_t = [Σ γ_t(v,k) Σ⁻¹_vk]⁻¹ Σ γ_t(v,k) Σ⁻¹_vk μ_vk (eq. 9 without its second weight; DESIGN section 5).
+//!
+//! The streams' likelihoods have exponents: α on the sound (frames overlap, so that they are not independent) and κ on
+//! the mouth. EM climbs Σ_q P(q) Π b_a(oᵃ)^α b_v(ôᵛ)^κ for any of them: ln b_v^κ = κ ln Σ_k, whose lower bound the M step
+//! maximises whatever κ is.
+use anyhow::{Context as _, Result};
+use ndarray::{Array2, Array3, Axis, s};
+
+use super::Hmm;
+use super::density::Evaluator;
+use super::forward_backward::{forward, viterbi};
+use super::graph::{Graph, log_sum};
+use super::system::Density;
+use crate::model::{EmSettings, MStep, Mixtures};
+
+/// A mouth during EM, and how likely it is.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// `[frames, D]`
+    pub parameters: Array2<f32>,
+    /// ln P(Oᵃ, Ôᵛ) per frame, with the streams' exponents.
+    pub log_likelihood: f64,
+}
+
+/// An HMM laid out over the phone loop, ready to convert.
+pub struct Inverter<'a> {
+    hmm: Hmm<'a>,
+    graph: Graph,
+    probability: Vec<f64>,
+    audio: Evaluator,
+    visual: Evaluator,
+    /// Mean of every visual state's mixture, `[states, D]`.
+    centre: Array2<f32>,
+}
+
+/// Log likelihoods of one utterance's sound under one exponent.
+struct Heard {
+    /// `[frames, audio states]`, times α.
+    state: Array2<f32>,
+    /// `[frames, audio states, K]` where densities are joint: ln w_k N_k(oᵃ), times α.
+    component: Option<Array3<f32>>,
+}
+
+impl<'a> Inverter<'a> {
+    pub fn new(hmm: Hmm<'a>) -> Self {
+        let (graph, probability) = hmm.phone_loop();
+        let visual = match hmm.density {
+            Density::Streams => Evaluator::new(hmm.visual),
+            // The weight of a joint component stands with its sound.
+            Density::Joint => Evaluator::new(&unweighted(hmm.visual)),
+        };
+        Self {
+            audio: Evaluator::new(hmm.audio),
+            visual,
+            centre: centres(hmm.visual),
+            hmm,
+            graph,
+            probability,
+        }
+    }
+
+    fn hear(&self, observations: &Array2<f32>, scale: f32) -> Heard {
+        let (state, component) = self.audio.log_components(observations.view());
+        Heard {
+            state: state * scale,
+            component: (self.hmm.density == Density::Joint).then(|| component * scale),
+        }
+    }
+
+    /// The centres of the visual states on the best path through the sound (the "Viterbi single-state" way).
+    pub fn best_path(&self, observations: &Array2<f32>, acoustic_scale: f32) -> Result<Array2<f32>> {
+        self.centres_of_path(&self.hear(observations, acoustic_scale))
+    }
+
+    fn centres_of_path(&self, heard: &Heard) -> Result<Array2<f32>> {
+        let frames = heard.state.nrows();
+        let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
+        let mut out = Array2::zeros((frames, self.centre.ncols()));
+        if frames == 0 {
+            return Ok(out);
+        }
+        let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission)
+            .context("the audio observations are not finite")?;
+        for (mut row, &s) in out.outer_iter_mut().zip(&path) {
+            row.assign(&self.centre.row(self.graph.states[s].visual));
+        }
+        Ok(out)
+    }
+
+    /// The mouth after `settings.iterations` of EM, `[frames, D]`, and the viseme occupancies of the last E step,
+    /// `[frames, visual states]`.
+    pub fn convert(
+        &self,
+        observations: &Array2<f32>,
+        settings: &EmSettings,
+    ) -> Result<(Array2<f32>, Array2<f32>)> {
+        let heard = self.hear(observations, settings.acoustic_scale);
+        let mut mouth = self.centres_of_path(&heard)?;
+        let mut occupancy = Array2::zeros((mouth.nrows(), self.hmm.n_visual_states()));
+        for _ in 0..settings.iterations {
+            let step = self.step(&heard, &mouth, settings)?;
+            (mouth, occupancy) = (step.next, step.occupancy);
+        }
+        if settings.iterations == 0 {
+            occupancy = self.step(&heard, &mouth, settings)?.occupancy;
+        }
+        Ok((mouth, occupancy))
+    }
+
+    /// Every estimate from the path's centres on, with its likelihood: `settings.iterations` + 1 of them.
+    pub fn iterations(&self, observations: &Array2<f32>, settings: &EmSettings) -> Result<Vec<Estimate>> {
+        let heard = self.hear(observations, settings.acoustic_scale);
+        let mut parameters = self.centres_of_path(&heard)?;
+        let mut all = Vec::new();
+        for _ in 0..=settings.iterations {
+            let step = self.step(&heard, &parameters, settings)?;
+            all.push(Estimate {
+                parameters: std::mem::replace(&mut parameters, step.next),
+                log_likelihood: step.log_likelihood,
+            });
+        }
+        Ok(all)
+    }
+
+    /// One E and one M step from `mouth`.
+    fn step(&self, heard: &Heard, mouth: &Array2<f32>, settings: &EmSettings) -> Result<Step> {
+        let (states, k, size) = self.hmm.visual.mean.dim();
+        let frames = mouth.nrows();
+        let kappa = settings.visual_exponent;
+        // ln w_k N_k(ôᵛ) of every component, without κ; and of every state, ready to be an emission.
+        let (mut state, mut component) = self.visual.log_components(mouth.view());
+        match &heard.component {
+            None => state *= kappa,
+            Some(sound) => {
+                ndarray::Zip::from(&mut component)
+                    .and(sound)
+                    .for_each(|part, &heard| {
+                        *part = if heard > f32::NEG_INFINITY {
+                            kappa * *part + heard
+                        } else {
+                            heard
+                        };
+                    });
+                for ((t, s), log) in state.indexed_iter_mut() {
+                    *log = log_sum(component.slice(s![t, s, ..]).iter().copied());
+                }
+            }
+        }
+        let joint = heard.component.is_some();
+        let emission = |t: usize, s: usize| {
+            let at = self.graph.states[s];
+            let sound = if joint {
+                0.0
+            } else {
+                f64::from(heard.state[[t, at.audio]])
+            };
+            sound + f64::from(state[[t, at.visual]])
+        };
+        let forward = forward(&self.graph, &self.probability, frames, &emission)
+            .context("the audio observations are not finite")?;
+        let gamma = forward.backward(&self.graph, &self.probability, |_, _, _| ());
+        let mut occupancy = Array2::<f32>::zeros((frames, states));
+        let mut next = Array2::<f32>::zeros((frames, size));
+        let (mut precision, mut weighted) = (vec![0.0f64; size], vec![0.0f64; size]);
+        for (t, row) in gamma.outer_iter().enumerate() {
+            for (s, &g) in self.graph.states.iter().zip(row) {
+                occupancy[[t, s.visual]] += g as f32;
+            }
+            precision.fill(0.0);
+            weighted.fill(0.0);
+            for s in 0..states {
+                let share = occupancy[[t, s]];
+                if share < LEAST_OCCUPANCY {
+                    continue;
+                }
+                let total = log_sum(component.slice(s![t, s, ..]).iter().copied());
+                for k in 0..k {
+                    let mut gamma = f64::from(share) * f64::from((component[[t, s, k]] - total).exp());
+                    if settings.m_step == MStep::Printed {
+                        gamma *= f64::from(self.hmm.visual.log_weight[[s, k]]).exp();
+                    }
+                    if gamma > 0.0 {
+                        for i in 0..size {
+                            let p = gamma / f64::from(self.hmm.visual.variance[[s, k, i]]);
+                            precision[i] += p;
+                            weighted[i] += p * f64::from(self.hmm.visual.mean[[s, k, i]]);
+                        }
+                    }
+                }
+            }
+            for i in 0..size {
+                next[[t, i]] = (weighted[i] / precision[i]) as f32;
+            }
+        }
+        Ok(Step {
+            next,
+            occupancy,
+            log_likelihood: forward.log_likelihood / frames.max(1) as f64,
+        })
+    }
+}
+
+/// An occupancy this small moves no mean by a visible amount, and the likelihood by less than what is asserted.
+const LEAST_OCCUPANCY: f32 = 1e-7;
+
+struct Step {
+    next: Array2<f32>,
+    occupancy: Array2<f32>,
+    /// Of the mouth that the step started from, per frame.
+    log_likelihood: f64,
+}
+
+/// The same components with weight one; those that are not used stay so.
+fn unweighted(mixtures: &Mixtures) -> Mixtures {
+    let mut out = mixtures.clone();
+    out.log_weight
+        .mapv_inplace(|w| if w > Mixtures::NO_WEIGHT { 0.0 } else { w });
+    out
+}
+
+/// Σ_k w_k μ_k of every state.
+fn centres(mixtures: &Mixtures) -> Array2<f32> {
+    let (states, k, d) = mixtures.mean.dim();
+    let mut out = Array2::zeros((states, d));
+    for s in 0..states {
+        for k in 0..k {
+            let weight = mixtures.log_weight[[s, k]].exp();
+            let mean = mixtures.mean.index_axis(Axis(0), s);
+            out.row_mut(s).scaled_add(weight, &mean.index_axis(Axis(0), k));
+        }
+    }
+    out
+}

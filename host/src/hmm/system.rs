@@ -1,0 +1,141 @@
+//! The systems of X&L table 2 and those beside them: a description each, no code of their own.
+use super::topology::{Pairing, Topology, VisualAtom};
+
+/// How a joint state's two observations are modelled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Density {
+    /// One mixture over [oᵃ; oᵛ]: component k of the sound is component k of the mouth.
+    Joint,
+    /// A mixture per stream.
+    Streams,
+}
+
+/// How a system says what the mouth does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Speech {
+    /// EM re-estimation of the mouth from the components' means (X&L section 4; HMMI where densities are joint).
+    Means,
+    /// The mean of the one state that the best path is in.
+    Viterbi,
+    /// Local linear maps chosen by the visual states' occupancies (DESIGN section 6).
+    LocalLinear,
+}
+
+/// One system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct System {
+    pub name: &'static str,
+    pub topology: Topology,
+    pub density: Density,
+    pub speech: Speech,
+}
+
+const fn of(name: &'static str, topology: Topology, density: Density, speech: Speech) -> System {
+    System {
+        name,
+        topology,
+        density,
+        speech,
+    }
+}
+
+/// Every system that can be trained, the paper's six first.
+pub const SYSTEMS: [System; 10] = [
+    of("ph-hmm", Topology::PH_HMM, Density::Joint, Speech::Means),
+    of("ph-mshmm", Topology::PH_HMM, Density::Streams, Speech::Means),
+    of("ph-fhmm", Topology::PH_FHMM, Density::Streams, Speech::Means),
+    of(
+        "ph-vi-fhmm",
+        Topology::PH_VI_FHMM,
+        Density::Streams,
+        Speech::Means,
+    ),
+    of("ph-chmm", Topology::PH_CHMM, Density::Streams, Speech::Means),
+    of(
+        "ph-vi-chmm",
+        Topology::PH_VI_CHMM,
+        Density::Streams,
+        Speech::Means,
+    ),
+    of("viterbi", Topology::PH_HMM, Density::Joint, Speech::Viterbi),
+    of(
+        "local-linear",
+        Topology::PH_VI_CHMM,
+        Density::Streams,
+        Speech::LocalLinear,
+    ),
+    of(
+        "local-linear-ph-hmm",
+        Topology::PH_HMM,
+        Density::Joint,
+        Speech::LocalLinear,
+    ),
+    of(
+        "local-linear-ph-chmm",
+        Topology::PH_CHMM,
+        Density::Streams,
+        Speech::LocalLinear,
+    ),
+];
+
+impl System {
+    /// X&L's own system.
+    pub const PH_VI_CHMM: System = SYSTEMS[5];
+    /// The coupled HMM with local linear maps, which the device runs.
+    pub const LOCAL_LINEAR: System = SYSTEMS[7];
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        SYSTEMS.into_iter().find(|s| s.name == name)
+    }
+
+    /// The paper's system whose HMM this one has: systems of the same HMM differ in how they speak only.
+    pub fn hmm(self) -> System {
+        SYSTEMS
+            .into_iter()
+            .find(|s| s.topology == self.topology && s.density == self.density)
+            .expect("a system has its own HMM at least")
+    }
+
+    /// Whether the device can run it.
+    pub fn is_live(self) -> bool {
+        self == Self::LOCAL_LINEAR
+    }
+
+    /// What it is, in a line for people.
+    pub fn describe(self) -> String {
+        let chains = match (self.topology.pairing, self.density) {
+            (Pairing::Equal, Density::Joint) => "one chain, joint mixtures",
+            (Pairing::Equal, Density::Streams) => "one chain, a mixture per stream",
+            (Pairing::Free, _) => "two chains, each on its own inside a phone",
+            (Pairing::Band, _) => "two chains, never two states apart",
+        };
+        let atoms = match self.topology.visual {
+            VisualAtom::Phone => "phones",
+            VisualAtom::Viseme => "phones and visemes",
+        };
+        let speech = match (self.speech, self.density) {
+            (Speech::Means, Density::Joint) => "HMM inversion",
+            (Speech::Means, Density::Streams) => "EM conversion",
+            (Speech::Viterbi, _) => "means of the best path",
+            (Speech::LocalLinear, _) => "local linear maps",
+        };
+        format!("{chains}; {atoms}; {speech}")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_is_found_and_belongs_to_one_of_the_papers_hmms() {
+        for system in SYSTEMS {
+            assert_eq!(System::from_name(system.name), Some(system));
+            let hmm = system.hmm();
+            assert!(SYSTEMS[..6].contains(&hmm), "{} has {}", system.name, hmm.name);
+            assert_eq!(hmm.speech, Speech::Means);
+        }
+        assert_eq!(System::LOCAL_LINEAR.hmm(), System::PH_VI_CHMM);
+        assert_eq!(System::from_name("hmm"), None);
+    }
+}
