@@ -19,6 +19,7 @@ pub mod hmm;
 pub mod htk;
 pub mod link;
 pub mod local_linear;
+pub mod mge;
 pub mod model;
 pub mod mouth;
 pub mod phones;

@@ -12,6 +12,8 @@ use crate::tensors::{Tensors, TensorsBuilder};
 
 /// Version of the float model file.
 pub const MODEL_VERSION: u32 = 2;
+/// What the file's note `kind` says.
+pub const KIND: &str = "hmm";
 /// Emitting states of a phone or a viseme (X&L section 7.1).
 pub const N_EMITTING: usize = 5;
 /// Transition classes of one phone: 13 inside, mouth leads, sound leads. See [`transition_class`].
@@ -164,7 +166,13 @@ impl Model {
 
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
-        out.note("kind", "hmm");
+        self.store(&mut out);
+        out.write(path)
+    }
+
+    /// Puts everything into a file that may hold more.
+    pub(crate) fn store(&self, out: &mut TensorsBuilder) {
+        out.note("kind", KIND);
         out.note("system", self.system.name);
         out.note("version", MODEL_VERSION);
         out.note("provenance", &self.provenance);
@@ -192,17 +200,23 @@ impl Model {
         out.put("maps.global", &self.maps.global);
         out.put("maps.state", &self.maps.state);
         if let Some(mouth) = &self.mouth {
-            mouth.store(&mut out);
+            mouth.store(out);
         }
-        out.write(path)
     }
 
     pub fn read(path: &Path) -> Result<Self> {
-        Self::from_tensors(&Tensors::read(path)?)
-            .with_context(|| format!("{} is no usable model", path.display()))
+        let tensors = Tensors::read(path)?;
+        let kind: String = tensors.noted("kind")?;
+        if kind != KIND {
+            bail!(
+                "{} holds a model of the kind {kind:?}; this needs {KIND:?}",
+                path.display()
+            );
+        }
+        Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
     }
 
-    fn from_tensors(from: &Tensors) -> Result<Self> {
+    pub(crate) fn from_tensors(from: &Tensors) -> Result<Self> {
         let version: u32 = from.noted("version")?;
         if version != MODEL_VERSION {
             bail!("model version {version}, this program reads {MODEL_VERSION}: train it again");

@@ -1,0 +1,108 @@
+//! How good a set of parameters is on clips that it was not trained on.
+use ndarray::Array2;
+use rayon::prelude::*;
+
+use super::chain::Chain;
+use super::data::Clip;
+use super::parameters::Parameters;
+use super::pass::{Masks, Net, Tape};
+use crate::evaluate::metrics::Score;
+use crate::model::N_EMITTING;
+
+/// Scores over clips.
+#[derive(Clone, Debug)]
+pub struct Judgement {
+    /// In the units of the visual features.
+    pub score: Score,
+    pub frames: usize,
+    /// Frames whose likeliest phone, viseme and viseme state are those of the forced alignment.
+    pub phones: usize,
+    pub visemes: usize,
+    pub visual_states: usize,
+}
+
+impl Judgement {
+    pub fn share(&self, count: usize) -> f64 {
+        count as f64 / self.frames.max(1) as f64
+    }
+
+    fn merge(&mut self, other: &Judgement) {
+        self.score.merge(&other.score);
+        self.frames += other.frames;
+        self.phones += other.phones;
+        self.visemes += other.visemes;
+        self.visual_states += other.visual_states;
+    }
+}
+
+/// Index of the largest of sums over groups of `size` neighbours.
+pub fn largest(values: &[f32], size: usize) -> usize {
+    values
+        .chunks(size)
+        .map(|c| c.iter().sum::<f32>())
+        .enumerate()
+        .fold(
+            (0, f32::NEG_INFINITY),
+            |best, (i, v)| if v > best.1 { (i, v) } else { best },
+        )
+        .0
+}
+
+/// Follows every clip from `start_at` frames into it (a cold start) and scores from there on.
+pub fn judge(
+    parameters: &Parameters,
+    chain: &Chain,
+    context_mean: &[f32],
+    deviation: &[f32],
+    clips: &[Clip],
+    start_at: usize,
+    least: f32,
+) -> Judgement {
+    let net = Net::new(parameters, chain, least);
+    let empty = || Judgement {
+        score: Score::new(deviation.len()),
+        frames: 0,
+        phones: 0,
+        visemes: 0,
+        visual_states: 0,
+    };
+    let parts: Vec<Judgement> = clips
+        .par_iter()
+        .map(|clip| {
+            let mut one = empty();
+            let all = clip.x.nrows();
+            if start_at >= all {
+                return one;
+            }
+            let x = clip.x.slice(ndarray::s![start_at.., ..]).to_owned();
+            let frames = x.nrows();
+            let context = centred(&parameters.shape.context.stack(&x, frames), context_mean);
+            let tape = Tape::forward(&net, context, Masks::default());
+            if let Some(mouth) = &clip.mouth {
+                let scaled = |m: &Array2<f32>, from: usize| {
+                    Array2::from_shape_fn((frames, deviation.len()), |(t, d)| {
+                        m[[t + from, d]] * deviation[d]
+                    })
+                };
+                one.score.add(&scaled(mouth, start_at), &scaled(&tape.output, 0));
+            }
+            for t in 0..frames {
+                let (a, v) = clip.states[t + start_at];
+                let (audio, visual) = (tape.audio.row(t).to_vec(), tape.visual.row(t).to_vec());
+                one.frames += 1;
+                one.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);
+                one.visemes += usize::from(largest(&visual, N_EMITTING) == v / N_EMITTING);
+                one.visual_states += usize::from(largest(&visual, 1) == v);
+            }
+            one
+        })
+        .collect();
+    let mut total = empty();
+    parts.iter().for_each(|p| total.merge(p));
+    total
+}
+
+/// Contexts without their mean.
+pub fn centred(context: &Array2<f32>, mean: &[f32]) -> Array2<f32> {
+    context - &ndarray::ArrayView1::from(mean)
+}

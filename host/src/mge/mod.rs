@@ -1,0 +1,19 @@
+//! Minimum generation error training: a coupled HMM trained on the error of its own mouth.
+//!
+//! The coupled HMM of X&L follows the sound over the loop of all phones and, through its visual chain, its own last
+//! output; its occupancies gate low-rank linear maps with a memory. [`context`] has what a frame hears (M1-M2),
+//! [`chain`] the step of the HMM (M3), [`pass`] the rest (M4-M9) and its reverse, [`train`] the loss (M10).
+pub mod chain;
+pub mod checkpoint;
+pub mod context;
+pub mod data;
+#[cfg(test)]
+mod gradient_tests;
+pub mod judge;
+pub mod live;
+pub mod model;
+pub mod optimise;
+pub mod parameters;
+pub mod pass;
+pub mod start;
+pub mod train;
