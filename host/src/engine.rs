@@ -11,9 +11,12 @@ use ndarray::{Array2, Axis};
 use crate::export::{ExportSettings, export};
 use crate::files;
 use crate::hmm::convert::{Lag, convert};
+use crate::mge::live;
+use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::phones::VISEMES;
 use crate::reference::{self, Normalisation};
+use crate::tensors::Tensors;
 
 /// Which arithmetic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -38,6 +41,8 @@ pub enum Engine {
     /// Tables that have been checked.
     Fixed(Vec<u8>),
     Float(Box<Model>),
+    /// A model trained on the error of its mouth.
+    Mge(Box<MgeModel>),
 }
 
 /// What a sound became: one row a frame, 100 a second.
@@ -66,6 +71,9 @@ impl Engine {
                 "{} holds the device's tables; `--engine float` needs the model they were exported from",
                 path.display()
             ),
+            Kind::Float if MgeModel::is_kind(&Tensors::read(path)?) => {
+                Ok(Self::Mge(Box::new(MgeModel::read(path)?)))
+            }
             Kind::Float => Ok(Self::Float(Box::new(Model::read(path)?))),
         }
     }
@@ -90,6 +98,19 @@ impl Engine {
                 let lag = with.lag.map_or(model.following.lag, usize::from);
                 let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
                 Ok(Converted { parameters, visemes })
+            }
+            Self::Mge(model) => {
+                ensure!(
+                    with.beam_bits.is_none() && with.lag.is_none(),
+                    "a model trained on the error of its mouth has neither beam nor lag in floats: leave --beam and --lag out"
+                );
+                let start_mean = std::array::from_fn(|i| model.twin.start_mean[i]);
+                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
+                let said = live::convert(model, observations.view());
+                Ok(Converted {
+                    parameters: said.parameters,
+                    visemes: said.visemes,
+                })
             }
         }
     }

@@ -6,7 +6,9 @@ use anyhow::Result;
 use crate::evaluate::{self, Settings, models};
 use crate::features::{FeatureFolder, Split};
 use crate::files;
+use crate::mge::model::MgeModel;
 use crate::model::Model;
+use crate::tensors::Tensors;
 
 /// Measure models on a feature folder: AMSE and ACC of each system
 #[derive(Debug, clap::Args)]
@@ -57,10 +59,20 @@ impl From<SplitName> for Split {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let folder = FeatureFolder::open(&args.dir)?;
-    let model = Model::read(&args.model)?;
+    let tensors = Tensors::read(&args.model)?;
+    let trained = MgeModel::is_kind(&tensors)
+        .then(|| MgeModel::read(&args.model))
+        .transpose()?;
+    let model = match &trained {
+        Some(trained) => trained.twin.clone(),
+        None => Model::read(&args.model)?,
+    };
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, false)?);
     candidates.extend(models::of_model(&folder, &model, args.beam)?);
+    if let Some(trained) = &trained {
+        candidates.push(models::of_mge(&folder, trained)?);
+    }
     let report = evaluate::measure(
         &folder,
         args.split.into(),
@@ -79,7 +91,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             "# AMSE and ACC\n\n`lipstream evaluate {} -m {}`: {}\n\n{table}",
             short(&args.dir),
             short(&args.model),
-            model.provenance
+            trained.as_ref().map_or(&model.provenance, |t| &t.provenance)
         );
         files::write_bytes(path, text.as_bytes())?;
     }

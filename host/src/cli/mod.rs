@@ -13,6 +13,7 @@ mod features;
 mod prepare;
 mod render;
 mod train;
+mod train_mge;
 
 /// Speech in, a talking mouth out.
 #[derive(Debug, Parser)]

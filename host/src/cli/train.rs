@@ -3,8 +3,10 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result};
 
+use super::train_mge;
 use crate::features::FeatureFolder;
 use crate::hmm::system::{SYSTEMS, System};
+use crate::model::Model;
 use crate::train::{self, Settings};
 
 /// Train a model: a coupled HMM over phones and visemes with local linear visual maps, or another of the papers' systems
@@ -36,9 +38,22 @@ pub(crate) struct Args {
     /// Train on so many of the clips with video, drawn by the seed [default: all]
     #[arg(long)]
     clips: Option<usize>,
-    /// Seed of what is drawn: clips, and where it is not 0 the directions in which components split
+    /// Seed of what is drawn: clips, where it is not 0 the directions in which components split, and all that
+    /// `--train mge` draws
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// How: by likelihood as in the papers, or from there on by the error of the mouth (minimum generation error)
+    #[arg(long = "train", value_enum, default_value_t = Method::Likelihood)]
+    method: Method,
+    #[command(flatten)]
+    mge: train_mge::Args,
+}
+
+/// What training minimises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Method {
+    Likelihood,
+    Mge,
 }
 
 fn system(name: &str) -> Result<System> {
@@ -66,8 +81,25 @@ pub(crate) fn run(args: Args) -> Result<()> {
         ..Settings::default()
     };
     let begun = std::time::Instant::now();
-    let model = train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"))?;
-    model.write(&args.output)?;
+    let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
+    match args.method {
+        Method::Likelihood => by_likelihood()?.write(&args.output)?,
+        Method::Mge => {
+            let twin = match &args.mge.from {
+                Some(path) => Model::read(path)?,
+                None => by_likelihood()?,
+            };
+            train_mge::run(
+                &args.mge,
+                &folder,
+                &heard,
+                &twin,
+                args.clips,
+                args.seed,
+                &args.output,
+            )?;
+        }
+    }
     eprintln!(
         "wrote {} after {:.0} s",
         args.output.display(),

@@ -9,6 +9,8 @@ use crate::engine::{Engine, RunSettings};
 use crate::export::{ExportSettings, export};
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::convert::{Follower, Lag, convert_with};
+use crate::mge::live;
+use crate::mge::model::MgeModel;
 use crate::model::Model;
 
 /// Always the mean mouth.
@@ -96,4 +98,23 @@ pub fn of_model<'a>(
             },
         ),
     ])
+}
+
+/// A model trained on the error of its mouth, in floats, streamed frame by frame.
+pub fn of_mge<'a>(folder: &FeatureFolder, model: &'a MgeModel) -> Result<Candidate<'a>> {
+    ensure!(
+        model.deviation.len() == folder.manifest.visual_size,
+        "the model speaks {} mouth parameters, {} holds {}",
+        model.deviation.len(),
+        folder.root.display(),
+        folder.manifest.visual_size
+    );
+    let ahead = Some(model.look_ahead_ms());
+    Ok(Candidate::new("mge, float", ahead, move |heard: &Heard| {
+        let said = live::convert(model, heard.observations.view());
+        Ok(Prediction {
+            parameters: said.parameters,
+            visemes: Some(said.visemes),
+        })
+    }))
 }

@@ -6,7 +6,8 @@ use rand_pcg::Pcg64;
 use super::chain::{Chain, ROWS, VISUAL, tests::random};
 use super::context::Context;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal, normal};
-use super::pass::{Masks, Net, Tape, cross_entropy};
+use super::pass::{Entropy, Masks, Tape, cross_entropy};
+use super::step::Net;
 use crate::model::N_EMITTING;
 
 struct Problem {
@@ -16,9 +17,8 @@ struct Problem {
     mouth: Array2<f32>,
     targets: Vec<(usize, usize)>,
     masks: Masks,
+    entropy: Entropy,
 }
-
-const WEIGHTS: (f32, f32) = (0.3, 0.2);
 
 fn problem(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> Problem {
     let (phones, transition, bigram): (_, Array3<f32>, _) = random(4, seed);
@@ -57,7 +57,7 @@ fn problem(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> Problem {
     let targets = (0..frames)
         .map(|_| (rng.random_range(0..4 * N_EMITTING), rng.random_range(0..VISUAL)))
         .collect();
-    let mut mask = |n: usize| {
+    let mask = |n: usize| {
         (0..n)
             .map(|i| if i % 4 == 3 { 0.0 } else { 1.25 })
             .collect::<Vec<f32>>()
@@ -73,6 +73,11 @@ fn problem(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> Problem {
         mouth,
         targets,
         masks,
+        entropy: Entropy {
+            audio: 0.3,
+            visual: 0.2,
+            atoms: maps == Gate::Audio,
+        },
     }
 }
 
@@ -85,7 +90,7 @@ impl Problem {
     fn loss(&self, parameters: &Parameters) -> f64 {
         let tape = self.tape(parameters);
         let squares = (&tape.output - &self.mouth).mapv(|e| f64::from(e).powi(2)).sum();
-        squares + cross_entropy(&tape, &self.targets, WEIGHTS)
+        squares + cross_entropy(&tape, &self.targets, self.entropy)
     }
 
     fn gradient(&self) -> Parameters {
@@ -93,7 +98,7 @@ impl Problem {
         let tape = self.tape(&self.parameters);
         let mut gradient = Parameters::zeros(&self.parameters.shape);
         let g_output = (&tape.output - &self.mouth) * 2.0;
-        tape.reverse(&net, &g_output, Some(&self.targets), WEIGHTS, &mut gradient);
+        tape.reverse(&net, &g_output, Some(&self.targets), self.entropy, &mut gradient);
         gradient
     }
 

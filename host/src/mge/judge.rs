@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use super::chain::Chain;
 use super::data::Clip;
 use super::parameters::Parameters;
-use super::pass::{Masks, Net, Tape};
+use super::pass::{Masks, Tape};
+use super::step::Net;
 use crate::evaluate::metrics::Score;
 use crate::model::N_EMITTING;
 

@@ -6,7 +6,7 @@ use super::chain::{Scratch, VISUAL, axpy, dot};
 use super::context::Window;
 use super::model::MgeModel;
 use super::parameters::{Feedback, Group};
-use super::pass::{Net, Room, Speak, emissions_audio, emissions_visual, marginals, observe, visual_logs};
+use super::step::{Net, Room, Speak, emissions_audio, emissions_visual, marginals, observe, visual_logs};
 use crate::model::N_EMITTING;
 use crate::phones::VISEMES;
 

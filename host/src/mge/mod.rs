@@ -2,7 +2,7 @@
 //!
 //! The coupled HMM of X&L follows the sound over the loop of all phones and, through its visual chain, its own last
 //! output; its occupancies gate low-rank linear maps with a memory. [`context`] has what a frame hears (M1-M2),
-//! [`chain`] the step of the HMM (M3), [`pass`] the rest (M4-M9) and its reverse, [`train`] the loss (M10).
+//! [`chain`] the step of the HMM (M3), [`step`] the rest (M4-M9), [`reverse`] its gradient, [`train`] the loss (M10).
 pub mod chain;
 pub mod checkpoint;
 pub mod context;
@@ -15,5 +15,7 @@ pub mod model;
 pub mod optimise;
 pub mod parameters;
 pub mod pass;
+mod reverse;
 pub mod start;
+pub mod step;
 pub mod train;

@@ -9,7 +9,7 @@ use ndarray::{Array1, Array2, ArrayView2};
 use super::chain::Chain;
 use super::context::Context;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
-use super::pass::{log_softmax_rows, softmax};
+use super::step::{log_softmax_rows, softmax};
 use crate::model::Model;
 use crate::tensors::{Tensors, TensorsBuilder};
 

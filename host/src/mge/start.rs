@@ -7,7 +7,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::parameters::{Group, Parameters, Shape, fill_normal};
-use super::pass::rate_group;
+use super::step::rate_group;
 
 /// One clip for the start: contexts `[T, C]`, states of the alignment, mouth `[T, D]` (standardised) if it has one.
 pub struct Seen {

@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
-use ndarray::{Array2, s};
+use ndarray::Array2;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -26,8 +26,9 @@ use super::judge::{centred, judge};
 use super::model::{LEAST, MgeModel};
 use super::optimise::{Optimiser, Rule};
 use super::parameters::{Feedback, Gate, Parameters, Shape, normal};
-use super::pass::{Masks, Net, Tape, cross_entropy};
+use super::pass::{Entropy, Masks, Tape, cross_entropy};
 use super::start::{Seen, StartSettings, start};
+use super::step::Net;
 use crate::features::FeatureFolder;
 use crate::model::Model;
 use crate::train::Say;
@@ -52,6 +53,10 @@ pub struct Settings {
     pub audio_entropy: f32,
     pub visual_entropy: f32,
     pub heard_entropy: f32,
+    /// Cross-entropy of phones and visemes instead of their states.
+    pub atoms: bool,
+    /// Greatest change of speed: a clip is played 1 − warp to 1 + warp times as fast.
+    pub warp: f32,
     /// Deviation of the noise on the statics, per frame and per clip.
     pub frame_noise: f32,
     pub clip_noise: f32,
@@ -85,6 +90,8 @@ impl Default for Settings {
             audio_entropy: 0.05,
             visual_entropy: 0.05,
             heard_entropy: 0.05,
+            atoms: false,
+            warp: 0.0,
             frame_noise: 0.15,
             clip_noise: 0.15,
             output_dropout: 0.2,
@@ -121,8 +128,27 @@ struct Piece {
     /// Index into the clips with video, or into those without.
     clip: usize,
     heard: bool,
-    from: usize,
+    /// First frame, frames of the clip per frame of the piece, and frames of the piece.
+    from: f32,
+    speed: f32,
     frames: usize,
+}
+
+impl Piece {
+    /// Frame of the clip under frame t of the piece, the next one, and how far it is towards that.
+    fn place(&self, t: usize, all: usize) -> (usize, usize, f32) {
+        let place = (self.from + t as f32 * self.speed).clamp(0.0, (all - 1) as f32);
+        let before = place as usize;
+        (before, (before + 1).min(all - 1), place - before as f32)
+    }
+
+    /// Rows of `of` at the piece's speed, `frames` of them, linear between the clip's.
+    fn cut(&self, of: &Array2<f32>, frames: usize) -> Array2<f32> {
+        Array2::from_shape_fn((frames, of.ncols()), |(t, d)| {
+            let (before, after, share) = self.place(t, of.nrows());
+            of[[before, d]] + share * (of[[after, d]] - of[[before, d]])
+        })
+    }
 }
 
 impl Trainer<'_> {
@@ -159,11 +185,21 @@ impl Trainer<'_> {
             for clip in order {
                 let clips = if heard { &self.data.heard } else { &self.data.train };
                 let all = clips[clip].x.nrows();
-                let frames = if crop { self.settings.crop.min(all) } else { all };
+                let warp = self.settings.warp;
+                let speed = 1.0 + warp * rng.random_range(-1.0f32..=1.0);
+                let whole = ((all - 1) as f32 / speed) as usize + 1;
+                let frames = if crop {
+                    self.settings.crop.min(whole)
+                } else {
+                    whole
+                };
+                let room = (whole - frames) as f32 * speed;
+                let from = (room * rng.random::<f32>()).round();
                 pieces.push(Piece {
                     clip,
                     heard,
-                    from: rng.random_range(0..=all - frames),
+                    from,
+                    speed,
                     frames,
                 });
             }
@@ -179,8 +215,8 @@ impl Trainer<'_> {
     fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Share {
         let settings = self.settings;
         let clip = self.clip(piece);
-        let end = (piece.from + piece.frames + settings.context.look_ahead()).min(clip.x.nrows());
-        let mut x = clip.x.slice(s![piece.from..end, ..]).to_owned();
+        let all = clip.x.nrows();
+        let mut x = piece.cut(&clip.x, piece.frames + settings.context.look_ahead());
         let shift: [f32; N_STATIC] = std::array::from_fn(|_| settings.clip_noise * normal(rng));
         for mut row in x.outer_iter_mut() {
             for (x, s) in row.iter_mut().zip(shift) {
@@ -200,30 +236,40 @@ impl Trainer<'_> {
         };
         let context = centred(&settings.context.stack(&x, piece.frames), &self.context_mean);
         let tape = Tape::forward(net, context, masks);
-        let targets = &clip.states[piece.from..piece.from + piece.frames];
+        let targets: Vec<(usize, usize)> = (0..piece.frames)
+            .map(|t| {
+                let (before, after, share) = piece.place(t, all);
+                clip.states[if share < 0.5 { before } else { after }]
+            })
+            .collect();
         let mut g_output = Array2::zeros((piece.frames, shape.outputs));
         let mut error = 0.0;
         let n = if piece.heard { frames.1 } else { frames.0 } as f32;
-        let entropies = if piece.heard {
-            (settings.heard_entropy / n, 0.0)
-        } else {
-            (settings.audio_entropy / n, settings.visual_entropy / n)
+        let entropy = Entropy {
+            audio: if piece.heard {
+                settings.heard_entropy
+            } else {
+                settings.audio_entropy
+            } / n,
+            visual: if piece.heard { 0.0 } else { settings.visual_entropy } / n,
+            atoms: settings.atoms,
         };
         if let (Some(mouth), false) = (&clip.mouth, piece.heard) {
+            let mouth = piece.cut(mouth, piece.frames);
             for t in 0..piece.frames {
                 for (d, w) in self.weights.iter().enumerate() {
-                    let e = tape.output[[t, d]] - mouth[[t + piece.from, d]];
+                    let e = tape.output[[t, d]] - mouth[[t, d]];
                     error += f64::from(w * e * e);
                     g_output[[t, d]] = 2.0 * w * e / n;
                 }
             }
         }
         let mut gradient = Parameters::zeros(shape);
-        tape.reverse(net, &g_output, Some(targets), entropies, &mut gradient);
+        tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
         Share {
             gradient,
             error: error / f64::from(n),
-            entropy: cross_entropy(&tape, targets, entropies),
+            entropy: cross_entropy(&tape, &targets, entropy),
         }
     }
 
@@ -300,6 +346,7 @@ fn check(settings: &Settings) -> Result<()> {
     for (name, share) in [
         ("dropout of the memory", settings.output_dropout),
         ("dropout of the feedback", settings.feedback_dropout),
+        ("change of speed", settings.warp),
     ] {
         if !(0.0..1.0).contains(&share) {
             bail!("the {name} is {share}: give 0 or more, less than 1");
