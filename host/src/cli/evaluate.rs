@@ -1,33 +1,57 @@
 //! `lipstream evaluate`: measures systems on a feature folder.
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result, bail, ensure};
 
-use crate::evaluate::{self, Settings, models};
+use crate::evaluate::{self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, models};
 use crate::features::{FeatureFolder, Split};
-use crate::files;
-use crate::mge::model::MgeModel;
 use crate::model::Model;
-use crate::tensors::Tensors;
 
-/// Measure models on a feature folder: AMSE and ACC of each system
+/// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Feature folder with video (made by `lipstream prepare`)
     dir: PathBuf,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
-    model: PathBuf,
+    model: Option<PathBuf>,
+    /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
+    #[arg(long, value_name = "NAME=FOLDER")]
+    predictions: Vec<String>,
     /// Clips to measure on
     #[arg(long, default_value = "test")]
     split: SplitName,
-    /// Markdown table to write (it is printed as well)
-    #[arg(short, long, value_name = "REPORT.md")]
+    /// Report to write: a folder (page, tables and JSON, with noise and cold starts), or a .md, .html or .json file
+    #[arg(short, long, value_name = "REPORT")]
     output: Option<PathBuf>,
+    /// System that the others are compared with [default: ph-vi-chmm]
+    #[arg(long, value_name = "NAME")]
+    against: Option<String>,
+    /// Measure in white noise and babble, 20 to 0 dB
+    #[arg(long)]
+    noise: bool,
+    /// Systems that hear the noise (several times; default: all)
+    #[arg(long, value_name = "NAME")]
+    noise_system: Vec<String>,
+    /// Feature folder whose training clips babble [default: DIR]
+    #[arg(long, value_name = "DIR")]
+    babble: Option<PathBuf>,
+    /// Measure streams that start in mid-clip
+    #[arg(long)]
+    cold: bool,
+    /// Neither noise nor cold starts, also for a folder
+    #[arg(long, conflicts_with_all = ["noise", "cold", "noise_system", "babble"])]
+    quick: bool,
+    /// Resamples of the intervals and tests
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
+    resamples: u32,
+    /// Seed of resamples, noise and starts
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
     /// Width of the device's beam in bits [default: the exported one]
     #[arg(long)]
     beam: Option<f64>,
-    /// Print JSON instead of the table
+    /// Print JSON instead of the tables
     #[arg(long)]
     json: bool,
 }
@@ -58,42 +82,88 @@ impl From<SplitName> for Split {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;
-    let tensors = Tensors::read(&args.model)?;
-    let trained = MgeModel::is_kind(&tensors)
-        .then(|| MgeModel::read(&args.model))
-        .transpose()?;
-    let model = match &trained {
-        Some(trained) => trained.twin.clone(),
-        None => Model::read(&args.model)?,
-    };
+    let settings = settings(&args, destination.as_ref().is_some_and(Destination::is_folder))?;
+    let model = args.model.as_deref().map(Model::read).transpose()?;
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
-    candidates.extend(models::ridge(&folder, false)?);
-    candidates.extend(models::of_model(&folder, &model, args.beam)?);
-    if let Some(trained) = &trained {
-        candidates.push(models::of_mge(&folder, trained)?);
+    candidates.extend(models::ridge(&folder, settings.noise.is_some())?);
+    if let Some(model) = &model {
+        candidates.extend(models::of_model(&folder, model, args.beam)?);
     }
-    let report = evaluate::measure(
-        &folder,
-        args.split.into(),
-        &candidates,
-        &Settings::default(),
-        &|what| eprintln!("{what}"),
-    )?;
-    let table = evaluate::markdown(&report);
+    for given in &args.predictions {
+        candidates.push(predictions(given)?);
+    }
+    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &|what| {
+        eprintln!("measuring: {what}")
+    })?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        print!("{}", evaluate::json(&report)?);
     } else {
-        print!("{table}");
+        print!("{}", evaluate::markdown(&Heading::default(), &report));
     }
-    if let Some(path) = &args.output {
-        let text = format!(
-            "# AMSE and ACC\n\n`lipstream evaluate {} -m {}`: {}\n\n{table}",
-            short(&args.dir),
-            short(&args.model),
-            trained.as_ref().map_or(&model.provenance, |t| &t.provenance)
-        );
-        files::write_bytes(path, text.as_bytes())?;
+    if let Some(destination) = destination {
+        let heading = Heading {
+            title: "AMSE and ACC".to_owned(),
+            command: command(&args),
+            provenance: model.as_ref().map_or(String::new(), |m| m.provenance.clone()),
+        };
+        for path in destination.write(&heading, &report)? {
+            eprintln!("written: {}", path.display());
+        }
     }
     Ok(())
+}
+
+fn settings(args: &Args, folder: bool) -> Result<Settings> {
+    let full = folder && !args.quick;
+    let wants_noise = full || args.noise || !args.noise_system.is_empty() || args.babble.is_some();
+    let noise = wants_noise.then(|| -> Result<NoiseSettings> {
+        Ok(NoiseSettings {
+            babble: args.babble.as_deref().map(FeatureFolder::open).transpose()?,
+            systems: args.noise_system.clone(),
+            ..NoiseSettings::default()
+        })
+    });
+    Ok(Settings {
+        resamples: args.resamples as usize,
+        seed: args.seed,
+        reference: args.against.clone(),
+        noise: noise.transpose()?,
+        cold_starts: full || args.cold,
+    })
+}
+
+/// NAME=FOLDER or NAME@MS=FOLDER.
+fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
+    let Some((name, folder)) = given.split_once('=') else {
+        bail!("--predictions {given}: write NAME=FOLDER");
+    };
+    let (name, ahead) = match name.rsplit_once('@') {
+        Some((name, ms)) => {
+            let ms = ms.trim_end_matches("ms");
+            let ms = ms
+                .parse()
+                .with_context(|| format!("--predictions {given}: {ms:?} is no number of ms"))?;
+            (name, Some(ms))
+        }
+        None => (name, None),
+    };
+    ensure!(!name.is_empty(), "--predictions {given}: the name is missing");
+    let mut candidate = exchange::predictions(name, Path::new(folder))?;
+    candidate.look_ahead_ms = ahead;
+    Ok(candidate)
+}
+
+/// The command without this machine's paths.
+fn command(args: &Args) -> String {
+    let mut out = format!("lipstream evaluate {}", short(&args.dir));
+    if let Some(model) = &args.model {
+        out += &format!(" -m {}", short(model));
+    }
+    for given in &args.predictions {
+        let name = given.split('=').next().unwrap_or_default();
+        out += &format!(" --predictions {name}=…");
+    }
+    out
 }

@@ -1,11 +1,21 @@
 //! Measuring systems on a feature folder: candidates in, a report out.
 pub mod bootstrap;
 pub mod candidate;
-mod markdown;
+pub mod changes;
+pub mod closure;
+pub mod cold;
+pub mod exchange;
+mod figures;
+pub mod gap;
+mod measure;
 pub mod metrics;
 pub mod models;
+pub mod noise;
+mod plot;
 pub mod report;
 pub mod ridge;
+mod tables;
+mod write;
 
 use anyhow::Result;
 use ndarray::Array2;
@@ -14,8 +24,9 @@ use rayon::prelude::*;
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::train::data;
 pub use candidate::{Candidate, Heard, Iteration, Prediction};
-pub use markdown::markdown;
-pub use report::{Report, Settings, measure};
+pub use measure::measure;
+pub use report::{NoiseSettings, Report, Settings};
+pub use write::{Destination, Heading, json, markdown};
 
 /// A clip with its mouth at the audio's rate.
 pub struct Truth<'a> {

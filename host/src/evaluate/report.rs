@@ -1,15 +1,9 @@
 //! What is measured of every candidate, as numbers: the report before anybody has formatted it.
-use std::collections::HashSet;
-
-use anyhow::{Result, bail, ensure};
-use rayon::prelude::*;
 use serde::Serialize;
 
-use super::bootstrap::{Difference, Draws, Interval, Resampled};
-use super::candidate::{Candidate, Heard, Prediction};
-use super::metrics::Score;
-use super::{Truth, truths};
-use crate::audio;
+use super::bootstrap::{Difference, Interval};
+use super::closure::Closure;
+use super::{cold, noise};
 use crate::features::{FeatureFolder, Split};
 
 /// What is measured, and how.
@@ -20,6 +14,28 @@ pub struct Settings {
     pub seed: u64,
     /// Candidate that the others are compared with; `None`: `ph-vi-chmm`, or the first whose name begins so.
     pub reference: Option<String>,
+    pub noise: Option<NoiseSettings>,
+    pub cold_starts: bool,
+}
+
+/// How noise is added.
+#[derive(Clone, Debug)]
+pub struct NoiseSettings {
+    pub snrs_db: Vec<f64>,
+    /// Folder whose clips babble; `None`: the training clips of the folder that is measured.
+    pub babble: Option<FeatureFolder>,
+    /// Candidates that hear it; empty: all that are listed.
+    pub systems: Vec<String>,
+}
+
+impl Default for NoiseSettings {
+    fn default() -> Self {
+        Self {
+            snrs_db: vec![20.0, 15.0, 10.0, 5.0, 0.0],
+            babble: None,
+            systems: Vec::new(),
+        }
+    }
 }
 
 impl Default for Settings {
@@ -28,6 +44,8 @@ impl Default for Settings {
             resamples: 1000,
             seed: 1,
             reference: None,
+            noise: None,
+            cold_starts: false,
         }
     }
 }
@@ -46,6 +64,17 @@ pub struct Report {
     pub seed: u64,
     pub reference: Option<String>,
     pub systems: Vec<System>,
+    /// Quality against look-ahead, a curve a family.
+    pub look_ahead: Vec<Curve>,
+    pub noise: Vec<NoiseCondition>,
+    pub cold_starts: Option<ColdStarts>,
+    pub closure: Option<Closure>,
+    /// X&L figure 10, for systems that iterate.
+    pub convergence: Vec<Convergence>,
+    /// X&L figures 7 and 11: the first parameter of a few clips.
+    pub trajectories: Vec<Trajectory>,
+    /// What could not be measured, and why.
+    pub notes: Vec<String>,
 }
 
 /// One candidate on whole clips.
@@ -62,6 +91,9 @@ pub struct System {
     pub correlations: Vec<f64>,
     /// This system less the reference; `None` for the reference itself.
     pub against_reference: Option<Against>,
+    /// In speech, by the labels: how often the likeliest viseme changes, and how often a drawn mouth shape (`cues`) does.
+    pub viseme_changes_per_second: Option<f64>,
+    pub cue_changes_per_second: Option<f64>,
 }
 
 /// Differences from the reference on the same clips.
@@ -71,103 +103,81 @@ pub struct Against {
     pub acc: Difference,
 }
 
-/// Measures every candidate on the clips of `split` that have video. `progress` hears what is being done.
-pub fn measure(
-    folder: &FeatureFolder,
-    split: Split,
-    candidates: &[Candidate],
-    settings: &Settings,
-    progress: &dyn Fn(&str),
-) -> Result<Report> {
-    let mut names = HashSet::new();
-    for candidate in candidates {
-        ensure!(
-            names.insert(&candidate.name),
-            "two systems are called {:?}",
-            candidate.name
-        );
-    }
-    let truths = truths(folder, split)?;
-    if truths.is_empty() {
-        bail!("{} has no clip with video in this split", folder.root.display());
-    }
-    let heard: Vec<Heard> = truths
-        .par_iter()
-        .map(|truth| {
-            Ok(Heard {
-                id: &truth.clip.id,
-                samples: audio::read(&folder.wav_path(&truth.clip.id))?.samples,
-                observations: truth.audio.clone(),
-            })
-        })
-        .collect::<Result<_>>()?;
-    let draws = Draws::new(truths.len(), settings.resamples, settings.seed);
-    let reference = reference(candidates, settings)?;
-    let mut resampled = Vec::new();
-    for candidate in candidates {
-        progress(&candidate.name);
-        let said = predictions(candidate, &heard, &truths)?;
-        let scores = truths.iter().zip(&said);
-        let scores = scores.map(|(truth, said)| Score::of(&truth.visual, &said.parameters));
-        resampled.push(Resampled::new(scores.collect(), &draws));
-    }
-    let systems = candidates
-        .iter()
-        .zip(&resampled)
-        .enumerate()
-        .map(|(n, (candidate, scores))| System {
-            name: candidate.name.clone(),
-            look_ahead_ms: candidate.look_ahead_ms,
-            amse: scores.interval(Score::amse),
-            mean_distance: scores.interval(Score::mean_distance),
-            acc: scores.interval(Score::acc),
-            acc_of_first_5: scores.interval(|s| s.acc_of_first(5)),
-            correlations: scores.whole.correlations(),
-            against_reference: reference.filter(|&r| r != n).map(|r| Against {
-                amse: scores.against(&resampled[r], &draws, Score::amse),
-                acc: scores.against(&resampled[r], &draws, Score::acc),
-            }),
-        })
-        .collect();
-    Ok(Report {
-        folder: folder
-            .root
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned(),
-        split,
-        clips: truths.len(),
-        frames: truths.iter().map(|t| t.visual.nrows()).sum(),
-        parameters: folder.manifest.visual_size,
-        resamples: settings.resamples,
-        seed: settings.seed,
-        reference: reference.map(|r| candidates[r].name.clone()),
-        systems,
-    })
+/// One family at several look-aheads.
+#[derive(Clone, Debug, Serialize)]
+pub struct Curve {
+    pub family: String,
+    pub points: Vec<Point>,
 }
 
-/// Place of the candidate that the others are compared with.
-fn reference(candidates: &[Candidate], settings: &Settings) -> Result<Option<usize>> {
-    let called = |name: &str| candidates.iter().position(|c| c.name == name);
-    match &settings.reference {
-        Some(name) => match called(name) {
-            Some(place) => Ok(Some(place)),
-            None => bail!("no system is called {name:?}, with which the others are to be compared"),
-        },
-        None => Ok(called("ph-vi-chmm").or_else(|| {
-            candidates
-                .iter()
-                .position(|c| c.name.starts_with("ph-vi-chmm") && c.listed)
-        })),
-    }
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    pub system: String,
+    pub look_ahead_ms: Option<u32>,
+    pub amse: Interval,
+    pub acc: Interval,
 }
 
-/// What a candidate says about every clip.
-fn predictions(candidate: &Candidate, heard: &[Heard], truths: &[Truth]) -> Result<Vec<Prediction>> {
-    heard
-        .par_iter()
-        .zip(truths)
-        .map(|(heard, truth)| candidate.say(heard, truth.visual.dim()))
-        .collect()
+/// One noise at one ratio.
+#[derive(Clone, Debug, Serialize)]
+pub struct NoiseCondition {
+    pub kind: noise::Kind,
+    /// Over speech.
+    pub snr_db: f64,
+    pub systems: Vec<NoiseRow>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct NoiseRow {
+    pub name: String,
+    pub amse: Interval,
+    pub acc: Interval,
+}
+
+/// Streams that begin in mid-clip.
+#[derive(Clone, Debug, Serialize)]
+pub struct ColdStarts {
+    /// Clips that are long enough.
+    pub clips: usize,
+    pub frames: usize,
+    pub systems: Vec<cold::Row>,
+}
+
+/// How one system's conversion converges.
+#[derive(Clone, Debug, Serialize)]
+pub struct Convergence {
+    pub name: String,
+    /// Over all clips, per iteration, as far as every clip got.
+    pub acc: Vec<f64>,
+    pub amse: Vec<f64>,
+    /// Log likelihood a frame, over all clips.
+    pub log_likelihood: Vec<f64>,
+    /// Steps in which the likelihood of a clip fell by more than rounding.
+    pub falls: usize,
+    /// Eight clips on their own.
+    pub clips: Vec<ClipConvergence>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct ClipConvergence {
+    pub clip: String,
+    pub acc: Vec<f64>,
+    /// A frame.
+    pub log_likelihood: Vec<f64>,
+}
+
+/// The first parameter over a clip, 100 a second.
+#[derive(Clone, Debug, Serialize)]
+pub struct Trajectory {
+    pub clip: String,
+    pub words: String,
+    pub actual: Vec<f32>,
+    /// The reference first, then the old way to hold against it.
+    pub predicted: Vec<Predicted>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+pub struct Predicted {
+    pub name: String,
+    pub values: Vec<f32>,
 }

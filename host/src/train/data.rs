@@ -28,7 +28,7 @@ pub fn to_audio_rate(visual: ArrayView2<f32>, video_hz: f32, frames: usize) -> A
 
 /// Phones of a clip with times, from its labels: phone labels, else word times with even phones, else even phones
 /// over the whole clip.
-fn timed_phones(clip: &Clip) -> Vec<PhoneLabel> {
+pub fn timed_phones(clip: &Clip) -> Vec<PhoneLabel> {
     if !clip.phones.is_empty() {
         return clip.phones.clone();
     }
