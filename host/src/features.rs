@@ -126,6 +126,12 @@ impl FeatureFolder {
         })
     }
 
+    /// Last part of its path: what a report calls it on other machines.
+    pub fn name(&self) -> String {
+        let name = self.root.file_name().unwrap_or_default();
+        name.to_string_lossy().into_owned()
+    }
+
     /// Clips of one split, in manifest order.
     pub fn split(&self, split: Split) -> impl Iterator<Item = &Clip> {
         self.manifest.clips.iter().filter(move |c| c.split == split)

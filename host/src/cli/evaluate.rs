@@ -84,10 +84,11 @@ impl From<SplitName> for Split {
 pub(crate) fn run(args: Args) -> Result<()> {
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;
-    let settings = settings(&args, destination.as_ref().is_some_and(Destination::is_folder))?;
+    let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
+    let settings = settings(&args, full)?;
     let model = args.model.as_deref().map(Model::read).transpose()?;
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
-    candidates.extend(models::ridge(&folder, settings.noise.is_some())?);
+    candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
         candidates.extend(models::of_model(&folder, model, args.beam)?);
     }
@@ -115,8 +116,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-fn settings(args: &Args, folder: bool) -> Result<Settings> {
-    let full = folder && !args.quick;
+fn settings(args: &Args, full: bool) -> Result<Settings> {
     let wants_noise = full || args.noise || !args.noise_system.is_empty() || args.babble.is_some();
     let noise = wants_noise.then(|| -> Result<NoiseSettings> {
         Ok(NoiseSettings {

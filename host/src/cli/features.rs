@@ -1,19 +1,21 @@
-//! `lipstream features`: audio observations of a sound file.
+//! `lipstream features`: audio observations of a sound file, or all features of a folder for models made elsewhere.
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use lipstream_core::{FRAME_SAMPLES, N_STATIC};
 
+use crate::evaluate::exchange;
 use crate::features::{FeatureFolder, write_npy};
 use crate::reference::{self, Normalisation};
 use crate::{audio, frontend, htk};
 
-/// Write audio observations (MFCC_E_D_A)
+/// Write audio observations (MFCC_E_D_A) of a sound, or the features of a whole folder as .npy
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis; other rates than 16 kHz are resampled
+    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis; other rates than 16 kHz are resampled. Or a feature
+    /// folder (made by `lipstream prepare`)
     sound: PathBuf,
-    /// Where to write: .htk or .npy
+    /// Where to write: .htk or .npy; for a folder, the folder that gets index.json and one .npy a clip
     #[arg(short, long)]
     output: PathBuf,
     /// Arithmetic: the reference in floats, or what the device computes
@@ -42,6 +44,9 @@ enum Norm {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    if args.sound.is_dir() {
+        return export(&args);
+    }
     let write = match args.output.extension().and_then(|e| e.to_str()) {
         Some("htk") => htk::write,
         Some("npy") => write_npy,
@@ -68,6 +73,20 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     write(&args.output, &observations)?;
     println!("{}: {} frames", args.output.display(), observations.nrows());
+    Ok(())
+}
+
+/// Audio and mouth of every clip at 100 Hz.
+fn export(args: &Args) -> Result<()> {
+    if matches!(args.engine, Engine::Fixed) || matches!(args.norm, Norm::Causal) || args.start.is_some() {
+        bail!(
+            "{} is a folder: its features are written as they are, without --engine, --norm or --start",
+            args.sound.display()
+        );
+    }
+    let folder = FeatureFolder::open(&args.sound)?;
+    let clips = exchange::export(&folder, &args.output)?;
+    println!("{}: {clips} clips", args.output.display());
     Ok(())
 }
 

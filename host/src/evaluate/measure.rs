@@ -99,13 +99,12 @@ pub fn measure(
             ));
         }
     }
+    let cold_starts = bench.cold_starts(candidates)?;
+    if settings.cold_starts && cold_starts.is_none() {
+        notes.push("No clip is long enough for a start in its middle.".to_owned());
+    }
     Ok(Report {
-        folder: folder
-            .root
-            .file_name()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned(),
+        folder: folder.name(),
         split,
         clips: truths.len(),
         frames: truths.iter().map(|t| t.visual.nrows()).sum(),
@@ -115,8 +114,12 @@ pub fn measure(
         reference: reference.map(|r| candidates[r].name.clone()),
         systems: systems(candidates, &whole, reference, &bench.draws),
         look_ahead: curves(candidates, &whole),
+        babble_of: settings
+            .noise
+            .as_ref()
+            .map(|n| n.babble.as_ref().unwrap_or(folder).name()),
         noise: bench.noise(candidates)?,
-        cold_starts: bench.cold_starts(candidates)?,
+        cold_starts,
         closure: gaps.map(|(gaps, truths)| bench.closure(&gaps, &truths, candidates, &whole)),
         convergence: candidates
             .iter()
@@ -314,6 +317,11 @@ impl<'a> Bench<'a> {
             .filter(|c| settings.systems.is_empty() || settings.systems.contains(&c.name))
             .collect();
         let folder = settings.babble.as_ref().unwrap_or(self.folder);
+        ensure!(
+            folder.split(Split::Train).next().is_some(),
+            "{} has no training clip that could babble",
+            folder.root.display()
+        );
         let voices: Vec<(String, Vec<i16>)> = folder
             .split(Split::Train)
             .map(|clip| Ok((clip.id.clone(), audio::read(&folder.wav_path(&clip.id))?.samples)))
@@ -376,6 +384,9 @@ impl<'a> Bench<'a> {
         let seed = self.settings.seed;
         let hear = |id, samples| self.hear(id, samples);
         let starts = cold::starts(self.folder, self.truths, self.heard, seed, hear)?;
+        if starts.is_empty() {
+            return Ok(None);
+        }
         let draws = Draws::new(starts.len(), self.settings.resamples, seed);
         let mut systems = Vec::new();
         for candidate in candidates.iter().filter(|c| c.hears && c.listed) {

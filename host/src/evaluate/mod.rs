@@ -5,16 +5,16 @@ pub mod changes;
 pub mod closure;
 pub mod cold;
 pub mod exchange;
-mod figures;
+pub mod figures;
 pub mod gap;
 mod measure;
 pub mod metrics;
 pub mod models;
 pub mod noise;
-mod plot;
+pub mod plot;
 pub mod report;
 pub mod ridge;
-mod tables;
+pub mod tables;
 mod write;
 
 use anyhow::Result;
@@ -26,7 +26,7 @@ use crate::train::data;
 pub use candidate::{Candidate, Heard, Iteration, Prediction};
 pub use measure::measure;
 pub use report::{NoiseSettings, Report, Settings};
-pub use write::{Destination, Heading, json, markdown};
+pub use write::{Destination, Heading, html, json, markdown};
 
 /// A clip with its mouth at the audio's rate.
 pub struct Truth<'a> {

@@ -17,7 +17,8 @@ const COLOURS: [RGBColor; 7] = [
 const INK: RGBColor = RGBColor(40, 40, 40);
 const GRID: RGBColor = RGBColor(225, 225, 225);
 const FONT: &str = "sans-serif";
-const PANEL: (u32, u32) = (440, 270);
+const WIDTH: u32 = 920;
+const PANEL_HEIGHT: u32 = 270;
 
 /// How a line is drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,8 +126,7 @@ fn tick(v: f64) -> String {
 pub fn panels(label: &str, panels: &[Panel], columns: usize) -> Result<String> {
     let columns = columns.clamp(1, panels.len().max(1));
     let rows = panels.len().div_ceil(columns).max(1);
-    let size = (PANEL.0 * columns as u32, PANEL.1 * rows as u32);
-    svg(label, size, |root| {
+    svg(label, (WIDTH, PANEL_HEIGHT * rows as u32), |root| {
         for (panel, area) in panels.iter().zip(root.split_evenly((rows, columns))) {
             chart(panel, &area)?;
         }
@@ -204,7 +204,7 @@ fn curve(chart: &mut Chart, line: &Line) -> Result<()> {
 pub fn dots(label: &str, x: &str, rows: &[(String, f64, f64, f64)]) -> Result<String> {
     let height = 60 + 22 * rows.len() as u32;
     let longest = rows.iter().map(|r| r.0.chars().count()).max().unwrap_or(0) as u32;
-    svg(label, (880, height), |root| {
+    svg(label, (WIDTH, height), |root| {
         let xs = rows.iter().flat_map(|r| [r.1, r.2, r.3]);
         let mut chart = ChartBuilder::on(root)
             .margin(8)
@@ -304,7 +304,7 @@ mod tests {
         };
         let text = panels("a \"figure\"", &[panel.clone(), panel], 2).unwrap();
         assert!(text.starts_with(
-            "<svg role=\"img\" aria-label=\"a &quot;figure&quot;\" width=\"880\" height=\"270\""
+            "<svg role=\"img\" aria-label=\"a &quot;figure&quot;\" width=\"920\" height=\"270\""
         ));
         assert!(!text.contains("http") && !text.contains("NaN"));
         assert!(text.contains("&lt;one&gt;") && text.trim_end().ends_with("</svg>"));

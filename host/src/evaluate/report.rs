@@ -66,6 +66,8 @@ pub struct Report {
     pub systems: Vec<System>,
     /// Quality against look-ahead, a curve a family.
     pub look_ahead: Vec<Curve>,
+    /// Folder whose voices babble.
+    pub babble_of: Option<String>,
     pub noise: Vec<NoiseCondition>,
     pub cold_starts: Option<ColdStarts>,
     pub closure: Option<Closure>,

@@ -1,5 +1,6 @@
 //! A report's numbers as tables, which Markdown and HTML share.
 use super::bootstrap::{Difference, Interval};
+use super::noise::VOICES;
 use super::report::Report;
 use crate::features::Split;
 
@@ -56,7 +57,8 @@ pub fn tables(report: &Report) -> Vec<Table> {
 fn scores(report: &Report) -> Table {
     let mut table = Table::new(
         "Scores",
-        "",
+        "AMSE: mean squared distance of the mouth parameters a frame. Mean distance: X&L eq. 20 as printed, without the square. ACC: X&L eq. 21, the \
+         correlation of each parameter over all frames, averaged. Look-ahead is between frame centres.",
         &[
             "system",
             "look-ahead",
@@ -188,9 +190,29 @@ fn look_ahead(report: &Report) -> Option<Table> {
 fn noise(report: &Report) -> Option<Table> {
     let mut table = Table::new(
         "Noise",
-        "Added to the samples before the front end. The ratio is that over speech, as the front end's gate sees it in the clean clip.",
+        format!(
+            "Added to the samples before the front end. The ratio is that over speech, as the front end's gate sees it in the clean clip. \
+             Babble: {} training clips of {} at once.",
+            VOICES,
+            report.babble_of.as_deref().unwrap_or(&report.folder)
+        ),
         &["noise", "ratio", "system", "AMSE", "ACC"],
     );
+    let listens = |name: &str| {
+        report
+            .noise
+            .first()
+            .is_some_and(|c| c.systems.iter().any(|row| row.name == name))
+    };
+    for system in report.systems.iter().filter(|s| listens(&s.name)) {
+        table.rows.push(vec![
+            "none".to_owned(),
+            String::new(),
+            system.name.clone(),
+            interval(&system.amse, 1),
+            interval(&system.acc, 3),
+        ]);
+    }
     for condition in &report.noise {
         for row in &condition.systems {
             table.rows.push(vec![
