@@ -5,7 +5,9 @@ use anyhow::{Context, Result, bail, ensure};
 
 use crate::evaluate::{self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, models};
 use crate::features::{FeatureFolder, Split};
+use crate::mge::model::MgeModel;
 use crate::model::Model;
+use crate::tensors::Tensors;
 
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
@@ -86,11 +88,15 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let folder = FeatureFolder::open(&args.dir)?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
     let settings = settings(&args, full)?;
-    let model = args.model.as_deref().map(Model::read).transpose()?;
+    let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();
+    let trained = trained.flatten();
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
         candidates.extend(models::of_model(&folder, model, args.beam)?);
+    }
+    if let Some(trained) = &trained {
+        candidates.push(models::of_mge(&folder, trained)?);
     }
     for given in &args.predictions {
         candidates.push(predictions(given)?);
@@ -107,13 +113,26 @@ pub(crate) fn run(args: Args) -> Result<()> {
         let heading = Heading {
             title: "AMSE and ACC".to_owned(),
             command: command(&args),
-            provenance: model.as_ref().map_or(String::new(), |m| m.provenance.clone()),
+            provenance: match (&trained, &model) {
+                (Some(trained), _) => trained.provenance.clone(),
+                (None, Some(model)) => model.provenance.clone(),
+                (None, None) => String::new(),
+            },
         };
         for path in destination.write(&heading, &report)? {
             eprintln!("written: {}", path.display());
         }
     }
     Ok(())
+}
+
+/// A model trained by likelihood; or one trained on its error, after the twin that it came from.
+fn read(path: &Path) -> Result<(Model, Option<MgeModel>)> {
+    if MgeModel::is_kind(&Tensors::read(path)?) {
+        let trained = MgeModel::read(path)?;
+        return Ok((trained.twin.clone(), Some(trained)));
+    }
+    Ok((Model::read(path)?, None))
 }
 
 fn settings(args: &Args, full: bool) -> Result<Settings> {
