@@ -97,18 +97,23 @@ pub fn starts<'a>(
     Ok(out)
 }
 
+/// What a candidate says from a start on, `[frames, D]` both.
+pub struct Said {
+    pub cold: Array2<f32>,
+    pub warm: Array2<f32>,
+}
+
 impl Start<'_> {
-    /// What the candidate says from the start on: cold, and warm.
-    pub fn say(&self, candidate: &Candidate) -> Result<(Array2<f32>, Array2<f32>)> {
+    pub fn say(&self, candidate: &Candidate) -> Result<Said> {
         let (frames, size) = self.truth.dim();
         let cold = candidate.say(&self.cold, (frames, size))?.parameters;
         let warm = candidate
             .say(&self.warm, (frames + self.before, size))?
             .parameters;
-        Ok((
+        Ok(Said {
             cold,
-            warm.slice(s![self.before.min(warm.nrows()).., ..]).to_owned(),
-        ))
+            warm: warm.slice(s![self.before.min(warm.nrows()).., ..]).to_owned(),
+        })
     }
 }
 

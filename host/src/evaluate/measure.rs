@@ -391,11 +391,11 @@ impl<'a> Bench<'a> {
         let mut systems = Vec::new();
         for candidate in candidates.iter().filter(|c| c.hears && c.listed) {
             (self.progress)(&format!("{}, cold starts", candidate.name));
-            let said: Vec<(Array2<f32>, Array2<f32>)> = starts
+            let said: Vec<cold::Said> = starts
                 .par_iter()
                 .map(|start| start.say(candidate))
                 .collect::<Result<_>>()?;
-            let score = |which: fn(&(Array2<f32>, Array2<f32>)) -> &Array2<f32>, frames: usize| {
+            let score = |which: fn(&cold::Said) -> &Array2<f32>, frames: usize| {
                 let clips = starts.iter().zip(&said).map(|(start, said)| {
                     let (truth, said) = (&start.truth, which(said));
                     let head = |a: &Array2<f32>| a.slice(s![..frames.min(a.nrows()), ..]).to_owned();
@@ -403,7 +403,7 @@ impl<'a> Bench<'a> {
                 });
                 Resampled::new(clips.collect(), &draws)
             };
-            let (cold, warm) = (score(|s| &s.0, usize::MAX), score(|s| &s.1, usize::MAX));
+            let (cold, warm) = (score(|s| &s.cold, usize::MAX), score(|s| &s.warm, usize::MAX));
             systems.push(cold::Row {
                 name: candidate.name.clone(),
                 amse: cold.interval(Score::amse),
@@ -412,8 +412,8 @@ impl<'a> Bench<'a> {
                 warm_acc: warm.interval(Score::acc),
                 amse_difference: cold.against(&warm, &draws, Score::amse),
                 acc_difference: cold.against(&warm, &draws, Score::acc),
-                first_half_second_amse: score(|s| &s.0, cold::FIRST).whole.amse(),
-                first_half_second_warm_amse: score(|s| &s.1, cold::FIRST).whole.amse(),
+                first_half_second_amse: score(|s| &s.cold, cold::FIRST).whole.amse(),
+                first_half_second_warm_amse: score(|s| &s.warm, cold::FIRST).whole.amse(),
             });
         }
         Ok(Some(ColdStarts {
