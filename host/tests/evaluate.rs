@@ -431,3 +431,71 @@ fn features_go_out_and_predictions_come_in() {
     };
     assert!(refused(&[models::mean(6)], &unknown).contains("nobody"));
 }
+
+/// Through the command line: features out, predictions in, a folder of reports; what is wrong is said in one line.
+#[test]
+fn by_command() {
+    let root = tempfile::tempdir().unwrap();
+    talker(&root.path().join("features"));
+    let path = |name: &str| root.path().join(name).to_string_lossy().into_owned();
+    let run = |args: &[&str]| lipstream::cli::run(["lipstream"].iter().chain(args).map(Into::into));
+    let (features, out, said) = (path("features"), path("out"), path("said"));
+    run(&["features", &features, "-o", &out]).unwrap();
+    for n in 13..18 {
+        let mouth = read_npy(&root.path().join(format!("out/test/clip{n}.visual.npy"))).unwrap();
+        write_npy(&root.path().join(format!("said/clip{n}.npy")), &mouth).unwrap();
+    }
+    let (report, given) = (path("report"), format!("mine@40={said}"));
+    run(&[
+        "evaluate",
+        &features,
+        "--predictions",
+        &given,
+        "--against",
+        "mine",
+        "--noise-system",
+        "mean",
+        "--resamples",
+        "100",
+        "-o",
+        &report,
+    ])
+    .unwrap();
+    let json = std::fs::read_to_string(root.path().join("report/report.json")).unwrap();
+    let value: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let mine = value["systems"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|s| s["name"] == "mine")
+        .unwrap();
+    assert_eq!(
+        (&mine["look_ahead_ms"], &mine["amse"]["value"]),
+        (&40.into(), &0.0.into())
+    );
+    assert_eq!(value["noise"].as_array().unwrap().len(), 10);
+    assert_eq!(value["noise"][0]["systems"].as_array().unwrap().len(), 1);
+    assert!(
+        !std::fs::read_to_string(root.path().join("report/report.md"))
+            .unwrap()
+            .contains(&said)
+    );
+
+    let (pdf, nowhere) = (path("r.pdf"), format!("x={}", path("nowhere")));
+    let wrong: [&[&str]; 8] = [
+        &["evaluate", &features, "-o", &pdf],
+        &["evaluate", &features, "--predictions", "mine"],
+        &["evaluate", &features, "--predictions", &nowhere],
+        &["evaluate", &features, "--predictions", "mine@soon=x"],
+        &["evaluate", &features, "--against", "nobody"],
+        &["evaluate", &features, "--noise-system", "nobody"],
+        &["evaluate", &said],
+        &[
+            "features", &features, "-o", &out, "--norm", "causal", "--start", &features,
+        ],
+    ];
+    for args in wrong {
+        let text = format!("{:#}", run(args).unwrap_err());
+        assert!(!text.contains('\n') && text.len() > 20, "{args:?}: {text}");
+    }
+}

@@ -86,7 +86,7 @@ fn colour_agrees_with_landmarks() {
     let grid = shared.join("data/grid-s1");
     let folder = tempfile::tempdir().unwrap();
     let corpus_path = folder.path().join("grid");
-    for (split, count) in [("train", 16), ("test", 6)] {
+    for (split, count) in [("train", 10), ("test", 4)] {
         let mut stems: Vec<String> = std::fs::read_dir(grid.join(split))
             .unwrap()
             .filter_map(|e| e.unwrap().file_name().into_string().ok())
@@ -130,7 +130,7 @@ fn colour_agrees_with_landmarks() {
         measured.extend(pair(lips.gaps(images.view()).unwrap()));
         read.extend(pair(gaps.read_out(features.visual(clip).unwrap().view())));
     }
-    assert!(measured.len() > 400);
+    assert!(measured.len() > 250);
     for (what, pairs, least) in [("images", &measured, 0.94), ("eigenmouth weights", &read, 0.92)] {
         let (r, (precision, recall)) = (correlation(pairs), closed(pairs, lips.closed_below()));
         println!("{what}: correlation {r:.3}, closed frames: precision {precision:.3}, recall {recall:.3}");

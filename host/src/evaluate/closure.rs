@@ -117,6 +117,13 @@ impl Gaps {
     }
 }
 
+impl TrueGap {
+    /// In pixels, 100 a second.
+    pub fn gap(&self) -> &[f32] {
+        &self.gap
+    }
+}
+
 /// Clips with video.
 fn filmed(folder: &FeatureFolder) -> impl Iterator<Item = &Clip> {
     folder.manifest.clips.iter().filter(|c| c.video_frames > 0)
@@ -426,13 +433,14 @@ mod tests {
 
     #[test]
     fn a_plane_is_fitted() {
-        let rows = Array2::from_shape_fn((200, 2), |(n, k)| (n * (k + 3) % 17) as f32);
+        let rows = Array2::from_shape_fn((20_000, 2), |(n, k)| (n * (k + 3) % 17) as f32);
         let gaps = rows
             .outer_iter()
             .map(|r| 2.0 + 0.5 * r[0] - 0.25 * r[1])
             .collect();
         let (weights, offset) = fit(&[(rows, gaps)]).unwrap();
         let said = array![[4.0f32, 8.0]].dot(&weights)[0] + offset;
-        assert!((said - 2.0).abs() < 0.1, "{said}");
+        // The penalty counts for nothing among so many rows.
+        assert!((said - 2.0).abs() < 0.01, "{said}");
     }
 }
