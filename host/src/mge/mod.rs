@@ -16,6 +16,7 @@ pub mod optimise;
 pub mod parameters;
 pub mod pass;
 mod reverse;
+pub mod rounding;
 pub mod start;
 pub mod step;
 pub mod train;

@@ -278,6 +278,17 @@ impl Parameters {
         }
     }
 
+    /// Makes the vector at most `length` long; returns how long it was.
+    pub fn cut(&mut self, length: f32) -> f32 {
+        let square: f64 = self.values.iter().map(|g| f64::from(*g).powi(2)).sum();
+        let was = square.sqrt() as f32;
+        if was > length {
+            let share = length / was;
+            self.values.iter_mut().for_each(|g| *g *= share);
+        }
+        was
+    }
+
     /// Numbers that a device's tables hold, without the transitions and the start.
     pub fn table_size(&self) -> usize {
         GROUPS

@@ -115,7 +115,10 @@ impl Tape {
             let g_log = g_logs.row_mut(t).into_slice().expect("standard layout");
             room.spread(&net.chain, &g_audio, &g_visual, &mut g_alpha);
             let mean = dot(alpha, &g_alpha);
-            g_alpha.iter_mut().for_each(|g| *g -= mean);
+            for (g, alpha) in g_alpha.iter_mut().zip(alpha) {
+                // A state that fell out of the beam is moved by nothing.
+                *g = if *alpha > 0.0 { *g - mean } else { 0.0 };
+            }
             room.through_emissions(&net.chain, alpha, &g_alpha, g_log);
             own(&net.chain, visual_emission, &mut room.own);
             net.chain.for_slots(|k, i, visual| {

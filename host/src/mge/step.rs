@@ -18,8 +18,8 @@ use crate::model::{Mixtures, N_EMITTING};
 
 /// Natural log below the best emission of a chain.
 pub const FLOOR: f32 = 30.0;
-/// Probabilities below this are 0 in the forward step.
-const SMALLEST: f32 = 1e-25;
+/// Probabilities below this are 0 after a frame: a beam of 40 bits.
+const SMALLEST: f32 = 1e-12;
 /// Parameters laid out for the recursion: probabilities and rates instead of logits.
 pub struct Net<'a> {
     pub p: &'a Parameters,

@@ -266,6 +266,8 @@ impl Trainer<'_> {
         }
         let mut gradient = Parameters::zeros(shape);
         tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
+        // One clip in which a state hangs by a thread must not steer the whole batch.
+        gradient.cut(settings.rule.clip);
         Share {
             gradient,
             error: error / f64::from(n),
