@@ -6,7 +6,8 @@ use anyhow::{Context as _, Result};
 use crate::features::FeatureFolder;
 use crate::mge::context::Context;
 use crate::mge::parameters::{Feedback, Gate};
-use crate::mge::train::{Settings, train};
+use crate::mge::settings::Settings;
+use crate::mge::train::train;
 use crate::model::Model;
 
 /// Settings of `--train mge`; they say nothing about likelihood training.

@@ -7,6 +7,7 @@
 //! ```
 //! Before the first frame stands the first frame, after the last one the last. The means' rates are powers of two:
 //! shifts on the device.
+use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::Array2;
 
@@ -27,6 +28,17 @@ impl Default for Context {
 }
 
 impl Context {
+    /// Refuses in words what no window can hold.
+    pub fn check(&self) -> Result<()> {
+        if self.taps.is_empty() || self.taps.windows(2).any(|w| w[0] <= w[1]) {
+            bail!("the taps {:?} do not fall from one to the next", self.taps);
+        }
+        if self.taps.iter().any(|t| t.abs() > 1000) || self.shifts.iter().any(|s| *s > 20) {
+            bail!("the context {self:?} reaches too far");
+        }
+        Ok(())
+    }
+
     /// Numbers in a context.
     pub fn size(&self) -> usize {
         (self.taps.len() + self.shifts.len()) * N_STATIC
@@ -164,6 +176,18 @@ mod tests {
                 }
             }
             assert_eq!(t, frames);
+        }
+    }
+
+    #[test]
+    fn contexts_that_cannot_be_are_refused() {
+        assert!(Context::default().check().is_ok());
+        for taps in [vec![], vec![0, 0], vec![-3, 2], vec![5000, 0]] {
+            let context = Context {
+                taps,
+                ..Context::default()
+            };
+            assert!(context.check().is_err(), "{context:?}");
         }
     }
 

@@ -6,11 +6,11 @@ use anyhow::{Context as _, Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array1, Array2, ArrayView2};
 
-use super::chain::Chain;
+use super::chain::{Chain, VISUAL};
 use super::context::Context;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use super::step::{log_softmax_rows, softmax};
-use crate::model::Model;
+use crate::model::{Model, N_TRANSITION_CLASSES};
 use crate::tensors::{Tensors, TensorsBuilder};
 
 /// What the file's note `kind` says.
@@ -114,17 +114,13 @@ impl MgeModel {
         }
         let mut twin = Model::from_tensors(from)?;
         twin.provenance = from.noted("twin.provenance")?;
+        check_twin(&twin)?;
         let text = |key: &str| from.noted::<String>(key);
         let context = Context {
             taps: numbers(&text("mge.taps")?)?,
             shifts: numbers(&text("mge.mean_shifts")?)?,
         };
-        if context.taps.is_empty() || context.taps.windows(2).any(|w| w[0] <= w[1]) {
-            bail!("the taps {:?} do not fall", context.taps);
-        }
-        if context.taps.iter().any(|t| t.abs() > 1000) || context.shifts.iter().any(|s| *s > 20) {
-            bail!("the context {context:?} reaches too far");
-        }
+        context.check()?;
         let projection: Array2<f32> = from.array("mge.projection")?;
         let drive: Array2<f32> = from.array("mge.drive")?;
         let global: Array2<f32> = from.array("mge.global")?;
@@ -191,6 +187,19 @@ impl MgeModel {
         }
         Ok(model)
     }
+}
+
+/// The step over the phone loop is that of coupled chains over phones and visemes.
+pub fn check_twin(twin: &Model) -> Result<()> {
+    let (_, classes, _) = twin.transition.dim();
+    let states = twin.visual.mean.dim().0;
+    if classes != N_TRANSITION_CLASSES || states != VISUAL {
+        bail!(
+            "training starts from a ph-vi-chmm ({N_TRANSITION_CLASSES} transition classes, {VISUAL} visual states), this model has \
+             {classes} and {states}"
+        );
+    }
+    Ok(())
 }
 
 fn spaced<T: ToString>(items: &[T]) -> String {
