@@ -61,3 +61,33 @@ fn all_39_numbers_follow_the_twin() {
         }
     }
 }
+
+/// c1..c12 of a voice stay within ±60 at any level; Q7.8 has room for full-scale pure tones, the farthest of sounds, too.
+#[test]
+fn cepstra_stay_in_range() {
+    let mut largest = 0f64;
+    for attenuation_db in [0, 20, 40, 60] {
+        let voice = common::quieter(&sounds::voice(3.0, 32000.0), f64::from(attenuation_db));
+        let statics = reference::statics(&voice);
+        let cepstra = statics.slice(ndarray::s![.., ..N_CEPSTRA]);
+        largest = cepstra.iter().fold(largest, |a, c| a.max(c.abs()));
+    }
+    println!("voice: {largest:.1}");
+    assert!(largest <= 60.0, "{largest}");
+
+    let mut farthest = 0f64;
+    for step in 0..400 {
+        let hz = 20.0 * f64::from(step);
+        let angle = |n: usize| std::f64::consts::TAU * hz * n as f64 / 16_000.0;
+        let tone: Vec<i16> = (0..400).map(|n| (32767.0 * angle(n).cos()) as i16).collect();
+        let want = reference::statics(&tone);
+        let got = frontend::observations(&tone, Normalisation::None);
+        for i in 0..N_CEPSTRA {
+            let error = (f64::from(got[[0, i]]) - want[[0, i]]).abs();
+            assert!(error < 0.1, "{hz} Hz, c{}: off by {error}", i + 1);
+            farthest = farthest.max(want[[0, i]].abs());
+        }
+    }
+    println!("tones: {farthest:.1}");
+    assert!(farthest < 127.0, "{farthest}");
+}

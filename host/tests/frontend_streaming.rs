@@ -123,7 +123,7 @@ fn speech_level(samples: &[i16], from: f64, to: f64) -> (f64, f64) {
     (sums[0] / count, sums[1] / count)
 }
 
-/// 20 dB down or up in mid-stream: 4.6 nats at once, and gone within ten seconds.
+/// 20 dB down or up in mid-stream: 4.6 nats at once, and gone within fourteen seconds.
 #[test]
 fn a_level_jump_is_followed() {
     let loud = sounds::voice(30.0, 12000.0);

@@ -92,6 +92,9 @@ fn integers_are_accurate_at_every_level() {
         for path in wavs(&folder) {
             let samples = common::quieter(&audio::read(&path).unwrap().samples, attenuation_db);
             let want = reference::statics(&samples);
+            let cepstra = want.slice(ndarray::s![.., ..lipstream_core::N_CEPSTRA]);
+            let largest = cepstra.iter().fold(0f64, |a, c| a.max(c.abs()));
+            assert!(largest <= 60.0, "{}: a cepstrum of {largest}", path.display());
             let got = frontend::observations(&samples, Normalisation::None).mapv(f64::from);
             let snr = common::snr_db(&want, &got, 0..lipstream_core::N_CEPSTRA);
             println!("{} at −{attenuation_db} dB: {snr:.1} dB", path.display());
@@ -101,5 +104,19 @@ fn integers_are_accurate_at_every_level() {
                 path.display()
             );
         }
+    }
+}
+
+/// Which share of recorded sentences the gate calls speech: the time constant of 256 such frames is four to seven seconds of talk.
+#[test]
+fn the_gate_passes_half_of_recorded_talk() {
+    let Some(folder) = golden() else { return };
+    for path in wavs(&folder) {
+        let raw = reference::statics(&audio::read(&path).unwrap().samples);
+        let mut gate = reference::normalise::Gate::default();
+        let open = raw.column(12).iter().filter(|&&e| gate.next(e)).count();
+        let seconds = 2.56 * raw.nrows() as f64 / open as f64;
+        println!("{}: {seconds:.1} s of talk", path.display());
+        assert!((3.5..7.0).contains(&seconds), "{}: {seconds} s", path.display());
     }
 }

@@ -1,4 +1,4 @@
-//! Cases that run both on the host and in QEMU (`tests/tests/host.rs`, `tests/tests/target.rs`).
+//! Cases that run both on the host and in QEMU (`core/tests/shared_cases.rs`, `tests/tests/target.rs`).
 //!
 //! A case is a function without arguments that panics when it fails. To add one: write it in the module of its
 //! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.

@@ -28,17 +28,26 @@ impl Energy {
         let known = if self.rolling { BLOCKS - NEW_BLOCKS } else { 0 };
         self.blocks.copy_within(BLOCKS - known.., 0);
         self.rolling = true;
-        for (sum, block) in self.blocks.iter_mut().zip(window.chunks_exact(BLOCK)).skip(known) {
-            *sum = block.iter().map(|&x| square(x)).sum();
+        for (sum, block) in self.blocks[known..]
+            .iter_mut()
+            .zip(window[known * BLOCK..].as_chunks::<BLOCK>().0)
+        {
+            *sum = energy(block);
         }
         self.blocks.iter().sum()
     }
 }
 
+/// Σ x², ≤ 80·2³⁰.
+fn energy(block: &[i16; BLOCK]) -> u64 {
+    // Squares are at most 2³⁰, so that two fit into 32 bits.
+    let pairs = block.as_chunks().0.iter().map(|&[a, b]| square(a) + square(b));
+    pairs.map(u64::from).sum()
+}
+
 #[inline(always)]
-fn square(x: i16) -> u64 {
-    // ≤ 2³⁰, so that the 32-bit product is exact.
-    u64::from((i32::from(x) * i32::from(x)) as u32)
+fn square(x: i16) -> u32 {
+    (i32::from(x) * i32::from(x)) as u32
 }
 
 /// E in Q7.8 of Σ x²; in [0, 26.8].

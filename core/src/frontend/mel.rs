@@ -13,26 +13,19 @@ pub const N_MEL: usize = 26;
 /// By Parseval the magnitudes of m bins sum to at most √m·16·√(Σ z²) < √24·16·2^20.48 samples (see `fft`), so that with
 /// magnitudes in Q(4 + s) the totals stay below 2^30.8.
 pub fn filterbank(magnitudes: &[u32; FFT_HALF], out: &mut [u64; N_MEL]) {
-    // What the bins between two centres give to the channel below and to the one above.
-    let mut falling = [0u64; N_MEL + 1];
-    let mut rising = [0u64; N_MEL + 1];
-    let mut between = 0;
-    let mut left = WIDTHS[0];
-    let (mut fall, mut total) = (0u64, 0u32);
-    for (&magnitude, &share) in magnitudes[1..].iter().zip(&SHARES) {
-        fall += u64::from(magnitude) * u64::from(share);
-        total = total.wrapping_add(magnitude);
-        left -= 1;
-        if left == 0 {
-            falling[between] = fall;
-            rising[between] = (u64::from(total) << 16) - fall;
-            between = (between + 1).min(N_MEL);
-            left = WIDTHS[between];
-            (fall, total) = (0, 0);
+    let mut bins = magnitudes[1..].iter().zip(&SHARES);
+    // What the bins between two centres give to the channel above. Those below the first centre give nothing else,
+    // those above the last one only to the channel below.
+    let mut rise = 0;
+    for (between, &width) in WIDTHS.iter().enumerate() {
+        let (mut fall, mut total) = (0u64, 0u32);
+        for (&magnitude, &share) in bins.by_ref().take(usize::from(width)) {
+            fall += u64::from(magnitude) * u64::from(share);
+            total = total.wrapping_add(magnitude);
         }
-    }
-    // What lies below the first centre rises only, what lies above the last one falls only.
-    for ((sum, rise), fall) in out.iter_mut().zip(&rising).zip(&falling[1..]) {
-        *sum = rise + fall;
+        if between > 0 {
+            out[between - 1] = rise + fall;
+        }
+        rise = (u64::from(total) << 16) - fall;
     }
 }

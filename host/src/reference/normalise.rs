@@ -15,7 +15,7 @@
 //!
 //! The gate is relative to what was heard in the last second or two, so it works at any level and opens again
 //! after a jump of the level in either direction. Silence, hum and steady noise do not stir, and within a second
-//! `bottom` has risen to them: the mean stands still. 256 frames of speech are about four seconds of talk. All
+//! `bottom` has risen to them: the mean stands still. 256 frames of speech are four to seven seconds of talk. All
 //! constants are powers of two (or 10), so that the integer path computes the same rule.
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView2, Axis};
