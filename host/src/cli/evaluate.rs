@@ -174,15 +174,46 @@ fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
     Ok(candidate)
 }
 
-/// The command without this machine's paths.
+/// The command without this machine's paths and without what stands in the report anyway.
 fn command(args: &Args) -> String {
-    let mut out = format!("lipstream evaluate {}", short(&args.dir));
+    let quoted = |name: &str| {
+        let plain = name
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || "-_.@".contains(c));
+        if plain {
+            name.to_owned()
+        } else {
+            format!("'{name}'")
+        }
+    };
+    let mut words = vec!["lipstream evaluate".to_owned(), short(&args.dir)];
     if let Some(model) = &args.model {
-        out += &format!(" -m {}", short(model));
+        words.push(format!("-m {}", short(model)));
     }
     for given in &args.predictions {
         let name = given.split('=').next().unwrap_or_default();
-        out += &format!(" --predictions {name}=…");
+        words.push(format!("--predictions {}=…", quoted(name)));
     }
-    out
+    if let Some(name) = &args.against {
+        words.push(format!("--against {}", quoted(name)));
+    }
+    for (flag, given) in [
+        ("--noise", args.noise),
+        ("--cold", args.cold),
+        ("--quick", args.quick),
+    ] {
+        if given {
+            words.push(flag.to_owned());
+        }
+    }
+    for name in &args.noise_system {
+        words.push(format!("--noise-system {}", quoted(name)));
+    }
+    if let Some(folder) = &args.babble {
+        words.push(format!("--babble {}", short(folder)));
+    }
+    if let Some(bits) = args.beam {
+        words.push(format!("--beam {bits}"));
+    }
+    words.join(" ")
 }

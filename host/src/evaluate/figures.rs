@@ -4,7 +4,7 @@ use anyhow::Result;
 use super::bootstrap::Interval;
 use super::noise::Kind;
 use super::plot::{self, Line, Look, Panel};
-use super::report::{Report, Trajectory};
+use super::report::{ClipConvergence, Convergence, Report, Trajectory};
 
 /// A figure with its legend.
 pub struct Figure {
@@ -24,6 +24,7 @@ pub fn figures(report: &Report) -> Result<Vec<Figure>> {
         per_dimension(report)?,
         snippets(report)?,
         convergence(report)?,
+        iterations(report)?,
         first_coefficient(report)?,
         look_ahead(report)?,
         noise(report)?,
@@ -143,31 +144,30 @@ fn snippets(report: &Report) -> Result<Option<Figure>> {
 }
 
 fn convergence(report: &Report) -> Result<Option<Figure>> {
-    let mut panels = Vec::new();
     let numbered = |values: &[f64]| values.iter().enumerate().map(|(n, &v)| (n as f64, v)).collect();
-    for system in &report.convergence {
-        let clips = |values: fn(&super::report::ClipConvergence) -> &[f64]| -> Vec<Line> {
+    let panel = |title: &str, y: &str, lines| Panel {
+        title: title.to_owned(),
+        x: "iteration".into(),
+        y: y.into(),
+        lines,
+    };
+    let mut panels = Vec::new();
+    for system in report
+        .convergence
+        .iter()
+        .filter(|system| !system.clips.is_empty())
+    {
+        let lines = |of_clip: fn(&ClipConvergence) -> &[f64], all: &[f64]| -> Vec<Line> {
             let clips = system.clips.iter().enumerate();
+            let clips =
+                clips.map(|(n, clip)| Line::new(&clip.clip, Look::System(n), numbered(of_clip(clip))));
             clips
-                .map(|(n, clip)| Line::new(&clip.clip, Look::System(n), numbered(values(clip))))
+                .chain([Line::new("all clips", Look::Truth, numbered(all))])
                 .collect()
         };
-        let mut acc = clips(|c| &c.acc);
-        acc.push(Line::new("all clips", Look::Truth, numbered(&system.acc)));
-        let mut likelihood = clips(|c| &c.log_likelihood);
-        likelihood.push(Line::new(
-            "all clips",
-            Look::Truth,
-            numbered(&system.log_likelihood),
-        ));
-        for (y, lines) in [("log likelihood a frame", likelihood), ("ACC", acc)] {
-            panels.push(Panel {
-                title: system.name.clone(),
-                x: "iteration".into(),
-                y: y.into(),
-                lines,
-            });
-        }
+        let likelihood = lines(|c| &c.log_likelihood, &system.log_likelihood);
+        panels.push(panel(&system.name, "log likelihood a frame", likelihood));
+        panels.push(panel(&system.name, "ACC", lines(|c| &c.acc, &system.acc)));
     }
     if panels.is_empty() {
         return Ok(None);
@@ -178,6 +178,39 @@ fn convergence(report: &Report) -> Result<Option<Figure>> {
             "Eight clips, and all of them together. Iteration 0 is the first estimate, from the sound alone."
                 .into(),
         svg: plot::panels("Convergence of the conversion", &panels, 2)?,
+        legend: legend(&panels),
+    }))
+}
+
+/// ACC and AMSE per iteration of every system that iterates.
+fn iterations(report: &Report) -> Result<Option<Figure>> {
+    let lines = |values: fn(&Convergence) -> &[f64]| -> Vec<Line> {
+        let systems = report.convergence.iter();
+        systems
+            .map(|system| {
+                let points = values(system)
+                    .iter()
+                    .enumerate()
+                    .map(|(n, &v)| (n as f64, v))
+                    .collect();
+                Line::new(&system.name, look_of(report, &system.name), points).dotted()
+            })
+            .collect()
+    };
+    let panel = |y: &str, lines| Panel {
+        title: String::new(),
+        x: "iteration".into(),
+        y: y.into(),
+        lines,
+    };
+    if report.convergence.len() < 2 {
+        return Ok(None);
+    }
+    let panels = [panel("ACC", lines(|c| &c.acc)), panel("AMSE", lines(|c| &c.amse))];
+    Ok(Some(Figure {
+        title: "What iterating does to every system",
+        caption: "All clips. Likelihood rises by design; whether ACC and AMSE follow is the question.".into(),
+        svg: plot::panels("ACC and AMSE by iteration", &panels, 2)?,
         legend: legend(&panels),
     }))
 }

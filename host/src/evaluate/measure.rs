@@ -99,6 +99,11 @@ pub fn measure(
             ));
         }
     }
+    // Figure 10 draws clips of one system only: the reference, if it iterates.
+    let iterates = |n: &usize| candidates[*n].iterations.is_some();
+    let detailed = reference
+        .filter(iterates)
+        .or_else(|| (0..candidates.len()).find(iterates));
     let cold_starts = bench.cold_starts(candidates)?;
     if settings.cold_starts && cold_starts.is_none() {
         notes.push("No clip is long enough for a start in its middle.".to_owned());
@@ -123,7 +128,8 @@ pub fn measure(
         closure: gaps.map(|(gaps, truths)| bench.closure(&gaps, &truths, candidates, &whole)),
         convergence: candidates
             .iter()
-            .filter_map(|candidate| bench.convergence(candidate).transpose())
+            .enumerate()
+            .filter_map(|(n, candidate)| bench.convergence(candidate, detailed == Some(n)).transpose())
             .collect::<Result<_>>()?,
         trajectories: bench.trajectories(candidates, &whole, reference, &drawn),
         notes,
@@ -424,7 +430,7 @@ impl<'a> Bench<'a> {
     }
 
     /// `None` for a candidate that does not iterate.
-    fn convergence(&self, candidate: &Candidate) -> Result<Option<Convergence>> {
+    fn convergence(&self, candidate: &Candidate, detailed: bool) -> Result<Option<Convergence>> {
         let Some(iterate) = &candidate.iterations else {
             return Ok(None);
         };
@@ -469,7 +475,7 @@ impl<'a> Bench<'a> {
             amse: pooled.iter().map(Score::amse).collect(),
             log_likelihood: (0..length).map(likelihood).collect(),
             falls: clips.iter().map(|(_, l)| falls(l)).sum(),
-            clips: spread(clips.len(), CONVERGENCE_CLIPS)
+            clips: spread(clips.len(), if detailed { CONVERGENCE_CLIPS } else { 0 })
                 .into_iter()
                 .map(|n| ClipConvergence {
                     clip: self.heard[n].id.to_owned(),

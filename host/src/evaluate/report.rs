@@ -156,7 +156,7 @@ pub struct Convergence {
     pub log_likelihood: Vec<f64>,
     /// Steps in which the likelihood of a clip fell by more than rounding.
     pub falls: usize,
-    /// Eight clips on their own.
+    /// Eight clips on their own; only for the reference (or the first system that iterates).
     pub clips: Vec<ClipConvergence>,
 }
 

@@ -117,7 +117,7 @@ main { max-width: 72rem; margin: 0 auto; padding: 1.5rem; }
 h1 { font-size: 1.5rem; } h2 { font-size: 1.15rem; margin-top: 2.5rem; }
 code { background: #efece7; padding: .1em .35em; border-radius: 4px; overflow-wrap: anywhere; }
 figure { margin: 0; background: #fff; border: 1px solid #dcd8d2; border-radius: 8px; padding: .9rem; }
-figure svg { max-width: 100%; height: auto; }
+figure > svg { width: 100%; height: auto; }
 figcaption { color: #55504a; }
 .legend { display: flex; flex-wrap: wrap; gap: .2rem 1.2rem; margin: .5rem 0; font-size: .9rem; }
 .key { display: inline-flex; align-items: center; gap: .4rem; }
