@@ -5,6 +5,7 @@
 // Not `forbid`: ndarray's `s!` brings an `allow` of its own.
 #![deny(unsafe_code)]
 
+pub mod align;
 pub mod audio;
 pub mod cli;
 pub mod corpus;

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
+mod align;
 mod convert;
 mod cues;
 mod demo;
@@ -25,6 +26,7 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    Align(align::Args),
     Convert(convert::Args),
     Cues(cues::Args),
     Demo(demo::Args),
@@ -39,6 +41,7 @@ enum Command {
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
     match Cli::parse_from(args).command {
+        Command::Align(args) => align::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Cues(args) => cues::run(args),
         Command::Demo(args) => demo::run(args),

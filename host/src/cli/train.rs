@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result};
 
 use super::train_mge;
+use crate::align;
 use crate::features::FeatureFolder;
 use crate::hmm::system::{SYSTEMS, System};
 use crate::model::Model;
@@ -47,6 +48,15 @@ pub(crate) struct Args {
     method: Method,
     #[command(flatten)]
     mge: train_mge::Args,
+    /// Train an audio HMM for `lipstream align`, from sound and labels alone
+    #[arg(long, conflicts_with_all = ["audio", "visual_mixtures", "lag"])]
+    sound_only: bool,
+    /// Training speakers to leave out, separated by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "sound_only")]
+    without: Vec<String>,
+    /// Frames of 5 ms that a phone may reach beyond its label
+    #[arg(long, value_name = "N", requires = "sound_only")]
+    tolerance: Option<usize>,
 }
 
 /// What training minimises.
@@ -65,6 +75,9 @@ fn system(name: &str) -> Result<System> {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let folder = FeatureFolder::open(&args.dir)?;
+    if args.sound_only {
+        return sound_only(&folder, &args);
+    }
     let heard = args
         .audio
         .iter()
@@ -105,5 +118,17 @@ pub(crate) fn run(args: Args) -> Result<()> {
         args.output.display(),
         begun.elapsed().as_secs_f32()
     );
+    Ok(())
+}
+
+fn sound_only(folder: &FeatureFolder, args: &Args) -> Result<()> {
+    let settings = align::train::Settings {
+        mixtures: args.audio_mixtures,
+        iterations: args.iterations,
+        tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
+        without: args.without.clone(),
+    };
+    align::train::train(folder, &settings, &|line| eprintln!("{line}"))?.write(&args.output)?;
+    eprintln!("wrote {}", args.output.display());
     Ok(())
 }

@@ -18,7 +18,6 @@ use super::visual;
 use crate::features::{
     self, Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word,
 };
-use crate::phones::Phone;
 use crate::reference::{self, Normalisation, SpeechMean};
 use crate::{audio, files, video};
 
@@ -312,17 +311,9 @@ fn spoken(
     pronouncer: &Pronouncer,
     from: &mut BTreeMap<String, pronounce::Source>,
 ) -> Result<Word> {
-    let (pronunciations, source) = pronouncer.word(word)?;
+    let (spoken, source) = pronouncer.spoken(word)?;
     from.insert(word.text.clone(), source);
-    let names = |phones: &Vec<Phone>| phones.iter().map(|p| p.name().to_owned()).collect();
-    Ok(Word {
-        text: word.text.clone(),
-        pronunciations: pronunciations.iter().map(names).collect(),
-        time: word
-            .time
-            .map(|(start, end)| (start as f32, end as f32))
-            .filter(|(start, end)| start < end),
-    })
+    Ok(spoken)
 }
 
 /// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.

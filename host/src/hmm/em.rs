@@ -270,10 +270,34 @@ impl<'a> Laid<'a> {
     }
 }
 
-fn expect_one(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utterance, sums: &mut Sums) {
+/// Phones that each frame may belong to, `[frames, phones]`: those labelled within `tolerance` frames.
+fn labelled(utterance: &Utterance, phones: usize, tolerance: usize) -> Array2<bool> {
+    let frames = utterance.audio.nrows();
+    let mut near = Array2::from_elem((frames, phones), false);
+    for (t, &(phone, _)) in utterance.start.iter().enumerate() {
+        for u in t.saturating_sub(tolerance)..(t + tolerance + 1).min(frames) {
+            near[[u, phone]] = true;
+        }
+    }
+    near
+}
+
+fn expect_one(
+    parameters: &Parameters,
+    evaluators: &Evaluators,
+    utterance: &Utterance,
+    tolerance: Option<usize>,
+    sums: &mut Sums,
+) {
     let laid = Laid::new(parameters, evaluators, utterance);
     let frames = utterance.audio.nrows();
-    let Some(forward) = forward(&laid.graph, &laid.probability, frames, &laid.emission()) else {
+    let near = tolerance.map(|tolerance| labelled(utterance, parameters.phones.len(), tolerance));
+    let free = laid.emission();
+    let emission = |t: usize, s: usize| match &near {
+        Some(near) if !near[[t, laid.graph.states[s].phone]] => f64::NEG_INFINITY,
+        _ => free(t, s),
+    };
+    let Some(forward) = forward(&laid.graph, &laid.probability, frames, &emission) else {
         sums.failed.push(utterance.id.clone());
         return;
     };
@@ -306,13 +330,23 @@ fn expect_one(parameters: &Parameters, evaluators: &Evaluators, utterance: &Utte
 
 /// E step over all utterances.
 pub fn expect(parameters: &Parameters, utterances: &[Utterance], done: &(dyn Fn(usize) + Sync)) -> Sums {
+    expect_within(parameters, utterances, None, done)
+}
+
+/// [`expect`] that keeps to the labels: a phone is said only within so many frames of where its label puts it.
+pub fn expect_within(
+    parameters: &Parameters,
+    utterances: &[Utterance],
+    tolerance: Option<usize>,
+    done: &(dyn Fn(usize) + Sync),
+) -> Sums {
     let evaluators = Evaluators::new(parameters);
     let parts: Vec<Sums> = utterances
         .par_chunks(CHUNK)
         .map(|chunk| {
             let mut sums = Sums::new(parameters);
             for utterance in chunk {
-                expect_one(parameters, &evaluators, utterance, &mut sums);
+                expect_one(parameters, &evaluators, utterance, tolerance, &mut sums);
             }
             done(chunk.len());
             sums

@@ -18,6 +18,8 @@ pub struct JointState {
     /// Phone of the audio state, and class: row (phone, class) of the transition table.
     pub phone: usize,
     pub class: usize,
+    /// Node of the phone network that the audio state belongs to.
+    pub node: usize,
 }
 
 /// From one joint state to another (or itself).
@@ -173,6 +175,7 @@ impl Builder<'_> {
             visual,
             phone,
             class,
+            node,
         }
     }
 

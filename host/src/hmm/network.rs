@@ -8,6 +8,8 @@ use crate::phones::Phone;
 pub struct PhoneNetwork {
     /// Phone of each node, as index into the model's list.
     pub nodes: Vec<usize>,
+    /// Word of each node, as index into the transcript; `None` for pauses.
+    pub words: Vec<Option<usize>>,
     /// Successors of each node with the natural log of their probability.
     pub successors: Vec<Vec<(usize, f32)>>,
     /// Where an utterance may begin, with log probability.
@@ -22,6 +24,7 @@ impl PhoneNetwork {
         let n = initial.len();
         Self {
             nodes: (0..n).collect(),
+            words: vec![None; n],
             successors: (0..n)
                 .map(|p| (0..n).map(|q| (q, bigram[[p, q]])).collect())
                 .collect(),
@@ -35,6 +38,7 @@ impl PhoneNetwork {
         let n = phones.len();
         Self {
             nodes: phones.to_vec(),
+            words: vec![None; n],
             successors: (0..n)
                 .map(|i| if i + 1 < n { vec![(i + 1, 0.0)] } else { Vec::new() })
                 .collect(),
@@ -50,12 +54,12 @@ impl PhoneNetwork {
     pub fn transcript(words: &[Word], index: &dyn Fn(Phone) -> Option<usize>) -> Option<Self> {
         let (sil, sp) = (index(Phone::SIL)?, index(Phone::SP));
         let mut net = PhoneNetwork::default();
-        let first = net.node(sil);
+        let first = net.node(sil, None);
         net.entries.push((first, 0.0));
         // Ends of what has been built, to be joined to the next word's beginnings.
         let mut open = vec![first];
         let mut said = 0;
-        for word in words {
+        for (number, word) in words.iter().enumerate() {
             let spoken: Vec<Vec<usize>> = word
                 .pronunciations
                 .iter()
@@ -78,7 +82,7 @@ impl PhoneNetwork {
             if said > 0
                 && let Some(sp) = sp
             {
-                let pause = net.node(sp);
+                let pause = net.node(sp, None);
                 for &end in &open {
                     net.successors[end].push((pause, 0.0));
                 }
@@ -89,7 +93,7 @@ impl PhoneNetwork {
             for phones in &spoken {
                 let mut last: Option<usize> = None;
                 for &phone in phones {
-                    let node = net.node(phone);
+                    let node = net.node(phone, Some(number));
                     match last {
                         Some(before) => net.successors[before].push((node, 0.0)),
                         None => open.iter().for_each(|&end| net.successors[end].push((node, 0.0))),
@@ -100,7 +104,7 @@ impl PhoneNetwork {
             }
             open = ends;
         }
-        let end = net.node(sil);
+        let end = net.node(sil, None);
         for &node in &open {
             net.successors[node].push((end, 0.0));
         }
@@ -109,8 +113,9 @@ impl PhoneNetwork {
         Some(net)
     }
 
-    fn node(&mut self, phone: usize) -> usize {
+    fn node(&mut self, phone: usize, word: Option<usize>) -> usize {
         self.nodes.push(phone);
+        self.words.push(word);
         self.successors.push(Vec::new());
         self.nodes.len() - 1
     }
@@ -170,6 +175,8 @@ mod tests {
         let net = PhoneNetwork::transcript(&words, &all).unwrap();
         // sil, ax, ey, sp, b, iy, sil
         assert_eq!(net.nodes.len(), 7);
+        let words = [None, Some(0), Some(0), None, Some(1), Some(1), None];
+        assert_eq!(net.words, words);
         let begin = net.entries[0].0;
         assert_eq!(net.successors[begin].len(), 2);
         assert!((net.successors[begin][0].1 - 0.5f32.ln()).abs() < 1e-6);

@@ -93,7 +93,7 @@ fn start_labels(
 }
 
 /// The network that training follows: the labelled phones one by one, or the transcript with its alternatives.
-fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Option<PhoneNetwork> {
+pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Option<PhoneNetwork> {
     if clip.phones.is_empty() {
         return PhoneNetwork::transcript(&clip.words, index);
     }

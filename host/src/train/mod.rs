@@ -181,7 +181,7 @@ fn draw(train: &mut Vec<Utterance>, settings: &Settings) {
     train.retain(|_| kept.next().unwrap_or(false));
 }
 
-fn corpus_name(folder: &FeatureFolder) -> String {
+pub(crate) fn corpus_name(folder: &FeatureFolder) -> String {
     let path = std::path::Path::new(&folder.manifest.corpus);
     path.file_name().map_or_else(
         || folder.manifest.corpus.clone(),

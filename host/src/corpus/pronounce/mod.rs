@@ -11,6 +11,7 @@ use phonetik::dict::CmuDict;
 
 use super::labels::SpokenWord;
 use super::phoneset;
+use crate::features::Word;
 use crate::files;
 use crate::phones::Phone;
 
@@ -89,6 +90,21 @@ impl Pronouncer {
             }
             phones => Ok((finish(vec![phones]), Source::Letters)),
         }
+    }
+
+    /// A word as the manifest holds it, and where its pronunciations came from.
+    pub fn spoken(&self, word: &SpokenWord) -> Result<(Word, Source)> {
+        let (pronunciations, source) = self.word(word)?;
+        let names = |phones: &Vec<Phone>| phones.iter().map(|p| p.name().to_owned()).collect();
+        let spoken = Word {
+            text: word.text.clone(),
+            pronunciations: pronunciations.iter().map(names).collect(),
+            time: word
+                .time
+                .map(|(start, end)| (start as f32, end as f32))
+                .filter(|(start, end)| start < end),
+        };
+        Ok((spoken, source))
     }
 
     /// By rule; letter by letter where there is no vowel to speak.
