@@ -40,7 +40,7 @@ pub struct Alignment {
     pub phones: Vec<Spoken>,
     /// The words of the text, each of at least one phone.
     pub words: Vec<SpokenWord>,
-    /// Natural log likelihood of the best path, per frame.
+    /// Natural log likelihood of the sound along the best path, per frame.
     pub log_likelihood: f64,
 }
 
@@ -183,11 +183,11 @@ impl<'a> Aligner<'a> {
             &self.evaluator,
             observations.view(),
         );
-        let emission = |t: usize, s: usize| f64::from(log.log(t, s));
-        let (path, total) = viterbi(&graph, &probability, frames, &emission)
+        let emission = |t: usize, s: usize| self.hmm.acoustic_scale * f64::from(log.log(t, s));
+        let (path, _) = viterbi(&graph, &probability, frames, &emission)
             .context("no way of saying this text fits the sound")?;
         let mut phones: Vec<Spoken> = Vec::new();
-        let mut begun = Vec::new();
+        let (mut begun, mut total) = (Vec::new(), 0.0);
         for (t, &s) in path.iter().enumerate() {
             let state = graph.states[s];
             // A phone that is said twice in a row begins again at its first state.
@@ -205,8 +205,10 @@ impl<'a> Aligner<'a> {
                 });
                 begun.push(t);
             }
+            let heard = f64::from(log.log(t, s));
+            total += heard;
             if let Some(last) = phones.last_mut() {
-                last.score += emission(t, s);
+                last.score += heard;
             }
         }
         self.hmm.shifts.apply(&mut phones);
