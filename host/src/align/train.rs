@@ -79,12 +79,17 @@ pub fn train(folder: &FeatureFolder, settings: &Settings, say: Say) -> Result<Au
     floors.variance *= FLOOR;
     floors.occupancy = LEAST_FRAMES;
     loop {
-        let mut last = None;
+        let mut last: Option<em::Sums> = None;
         for _ in 0..settings.iterations.max(1) {
             let begun = Instant::now();
             let sums = em::expect_within(&parameters, &utterances, tolerance, &|_| ());
             if sums.frames == 0 {
                 bail!("no utterance fits its transcript: check the labels");
+            }
+            if last.is_none() && parameters.audio.mean.dim().1 == 1 {
+                em::warnings(&parameters, &sums, &floors)
+                    .iter()
+                    .for_each(|line| say(line));
             }
             em::maximise(&mut parameters, &sums, &floors, None);
             say(&format!(

@@ -15,6 +15,7 @@ mod prepare;
 mod render;
 mod train;
 mod train_mge;
+mod train_shards;
 
 /// Speech in, a talking mouth out.
 #[derive(Debug, Parser)]
@@ -35,7 +36,7 @@ enum Command {
     Features(features::Args),
     Prepare(prepare::Args),
     Render(render::Args),
-    Train(train::Args),
+    Train(train::Train),
 }
 
 /// Parses the arguments (the first is the program's name) and runs the command.

@@ -1,14 +1,27 @@
 //! `lipstream train`: features to a model.
 use std::path::PathBuf;
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 
 use super::train_mge;
+use super::train_shards::{self, Shards};
 use crate::align;
 use crate::features::FeatureFolder;
 use crate::hmm::system::{SYSTEMS, System};
 use crate::model::Model;
-use crate::train::{self, Settings};
+use crate::train::progress::Progress;
+use crate::train::state::State;
+use crate::train::{self, Settings, shards};
+
+/// `lipstream train`, whole or in pieces.
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Train {
+    #[command(subcommand)]
+    pieces: Option<Shards>,
+    #[command(flatten)]
+    whole: Option<Args>,
+}
 
 /// Train a model: a coupled HMM over phones and visemes with local linear visual maps, or another of the papers' systems
 #[derive(Debug, clap::Args)]
@@ -48,6 +61,9 @@ pub(crate) struct Args {
     method: Method,
     #[command(flatten)]
     mge: train_mge::Args,
+    /// Continue from where `lipstream train merge` has brought the first stage, in place of joint EM
+    #[arg(long, value_name = "STATE")]
+    state: Option<PathBuf>,
     /// Train an audio HMM for `lipstream align`, from sound and labels alone
     #[arg(long, conflicts_with_all = ["audio", "visual_mixtures", "lag"])]
     sound_only: bool,
@@ -66,14 +82,22 @@ enum Method {
     Mge,
 }
 
-fn system(name: &str) -> Result<System> {
+pub(super) fn system(name: &str) -> Result<System> {
     System::from_name(name).with_context(|| {
         let names: Vec<&str> = SYSTEMS.iter().map(|s| s.name).collect();
         format!("there are {}", names.join(", "))
     })
 }
 
-pub(crate) fn run(args: Args) -> Result<()> {
+pub(crate) fn run(args: Train) -> Result<()> {
+    match (args.pieces, args.whole) {
+        (Some(pieces), _) => train_shards::run(pieces),
+        (None, Some(args)) => whole(args),
+        (None, None) => bail!("give a feature folder, or one of start, accumulate, merge"),
+    }
+}
+
+fn whole(args: Args) -> Result<()> {
     let folder = FeatureFolder::open(&args.dir)?;
     if args.sound_only {
         return sound_only(&folder, &args);
@@ -83,7 +107,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         .iter()
         .map(|path| FeatureFolder::open(path))
         .collect::<Result<Vec<_>>>()?;
-    let settings = Settings {
+    let mut settings = Settings {
         system: args.system,
         audio_mixtures: args.audio_mixtures,
         visual_mixtures: args.visual_mixtures,
@@ -93,6 +117,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
         seed: args.seed,
         ..Settings::default()
     };
+    if let Some(path) = &args.state {
+        settings.state = Some(State::read(path)?.0);
+    }
+    let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
+    if by_likelihood_first {
+        settings.progress = Progress::beside(&args.output, &this_run(&folder, &heard, &settings)?)?;
+    }
     let begun = std::time::Instant::now();
     let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
     match args.method {
@@ -113,12 +144,22 @@ pub(crate) fn run(args: Args) -> Result<()> {
             )?;
         }
     }
+    settings.progress.finish()?;
     eprintln!(
         "wrote {} after {:.0} s",
         args.output.display(),
         begun.elapsed().as_secs_f32()
     );
     Ok(())
+}
+
+/// What makes a run this run: the program, the settings, the data.
+fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &Settings) -> Result<String> {
+    let mut run = format!("{} {settings:?}\n", env!("CARGO_PKG_VERSION"));
+    for folder in std::iter::once(folder).chain(heard) {
+        run += &format!("{:08x}\n", shards::corpus(folder)?);
+    }
+    Ok(run)
 }
 
 fn sound_only(folder: &FeatureFolder, args: &Args) -> Result<()> {

@@ -78,7 +78,7 @@ impl Accumulator {
 }
 
 /// Variances and occupancies below which the data say nothing.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Floors {
     /// Smallest variance per dimension.
     pub variance: Array1<f32>,

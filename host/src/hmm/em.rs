@@ -2,6 +2,10 @@
 //!
 //! Utterances are taken in chunks of fixed size whose sums are added in order, so the result does not depend on how
 //! many threads there are.
+use std::borrow::Cow;
+use std::ops::Range;
+
+use anyhow::Result;
 use ndarray::{Array2, Array3, ArrayView1};
 use rayon::prelude::*;
 
@@ -16,6 +20,8 @@ use crate::phones::Phone;
 
 /// Utterances whose sums are added up before they join the others.
 const CHUNK: usize = 8;
+/// Chunks in memory at once, for each thread.
+const CHUNKS_PER_THREAD: usize = 2;
 /// Occupancies below this add nothing worth the work.
 const LEAST_OCCUPANCY: f64 = 1e-6;
 
@@ -32,8 +38,29 @@ pub struct Utterance {
     pub start: Vec<(usize, usize)>,
 }
 
+/// Utterances one by one: in memory, or read when they are asked for.
+pub trait Source: Sync {
+    fn len(&self) -> usize;
+
+    fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    fn get(&self, index: usize) -> Result<Cow<'_, Utterance>>;
+}
+
+impl Source for [Utterance] {
+    fn len(&self) -> usize {
+        <[Utterance]>::len(self)
+    }
+
+    fn get(&self, index: usize) -> Result<Cow<'_, Utterance>> {
+        Ok(Cow::Borrowed(&self[index]))
+    }
+}
+
 /// The parameters that EM re-estimates.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     pub topology: Topology,
     pub phones: Vec<Phone>,
@@ -45,7 +72,7 @@ pub struct Parameters {
 }
 
 /// Sums of one pass over the data.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Sums {
     pub audio: Accumulator,
     pub visual: Option<Accumulator>,
@@ -113,16 +140,27 @@ pub fn start(
     topology: Topology,
     phones: &[Phone],
 ) -> (Parameters, Floors, Option<Floors>) {
+    start_from(utterances, topology, phones).expect("utterances in memory are there")
+}
+
+/// [`start`] from any source; the error is the source's.
+pub fn start_from<S: Source + ?Sized>(
+    utterances: &S,
+    topology: Topology,
+    phones: &[Phone],
+) -> Result<(Parameters, Floors, Option<Floors>)> {
     let n_audio = phones.len() * N_EMITTING;
     let n_visual = topology.n_visual_states(phones.len());
-    let dim_audio = utterances.first().map_or(0, |u| u.audio.ncols());
-    let dim_visual = utterances
-        .first()
-        .and_then(|u| u.visual.as_ref())
-        .map_or(0, |v| v.ncols());
+    let (mut dim_audio, mut dim_visual) = (0, 0);
+    if !utterances.is_empty() {
+        let first = utterances.get(0)?;
+        dim_audio = first.audio.ncols();
+        dim_visual = first.visual.as_ref().map_or(0, |v| v.ncols());
+    }
     let mut audio = Accumulator::new(n_audio, 1, dim_audio);
     let mut visual = Accumulator::new(n_visual, 1, dim_visual);
-    for utterance in utterances {
+    for n in 0..utterances.len() {
+        let utterance = utterances.get(n)?;
         for (t, &(phone, i)) in utterance.start.iter().enumerate() {
             audio.add(N_EMITTING * phone + i, 0, 1.0, row(utterance.audio.row(t)));
             if let Some(v) = &utterance.visual {
@@ -147,7 +185,7 @@ pub fn start(
         }
     };
     let transition = start_transitions(topology, phones.len());
-    (
+    Ok((
         Parameters {
             topology,
             phones: phones.to_vec(),
@@ -157,7 +195,7 @@ pub fn start(
         },
         audio_floors,
         visual_floors,
-    )
+    ))
 }
 
 fn row<'a>(row: ArrayView1<'a, f32>) -> &'a [f32] {
@@ -270,6 +308,9 @@ impl<'a> Laid<'a> {
     }
 }
 
+/// Frames that are added to the tolerance where labels are too short for their states.
+const MORE_ROOM: usize = 4;
+
 /// Phones that each frame may belong to, `[frames, phones]`: those labelled within `tolerance` frames.
 fn labelled(utterance: &Utterance, phones: usize, tolerance: usize) -> Array2<bool> {
     let frames = utterance.audio.nrows();
@@ -291,13 +332,20 @@ fn expect_one(
 ) {
     let laid = Laid::new(parameters, evaluators, utterance);
     let frames = utterance.audio.nrows();
-    let near = tolerance.map(|tolerance| labelled(utterance, parameters.phones.len(), tolerance));
     let free = laid.emission();
-    let emission = |t: usize, s: usize| match &near {
-        Some(near) if !near[[t, laid.graph.states[s].phone]] => f64::NEG_INFINITY,
-        _ => free(t, s),
+    let held = |tolerance: usize| {
+        let near = labelled(utterance, parameters.phones.len(), tolerance);
+        let emission = |t: usize, s: usize| match near[[t, laid.graph.states[s].phone]] {
+            false => f64::NEG_INFINITY,
+            true => free(t, s),
+        };
+        forward(&laid.graph, &laid.probability, frames, &emission)
     };
-    let Some(forward) = forward(&laid.graph, &laid.probability, frames, &emission) else {
+    // Labels shorter than their states need more room.
+    let forward = tolerance
+        .and_then(|tolerance| held(tolerance).or_else(|| held(tolerance + MORE_ROOM)))
+        .or_else(|| forward(&laid.graph, &laid.probability, frames, &free));
+    let Some(forward) = forward else {
         sums.failed.push(utterance.id.clone());
         return;
     };
@@ -333,29 +381,97 @@ pub fn expect(parameters: &Parameters, utterances: &[Utterance], done: &(dyn Fn(
     expect_within(parameters, utterances, None, done)
 }
 
-/// [`expect`] that keeps to the labels: a phone is said only within so many frames of where its label puts it.
+/// [`expect`] that keeps to the labels: a phone is said only within so many frames of where its label puts it (or, in
+/// utterances where no path does that, anywhere).
 pub fn expect_within(
     parameters: &Parameters,
     utterances: &[Utterance],
     tolerance: Option<usize>,
     done: &(dyn Fn(usize) + Sync),
 ) -> Sums {
-    let evaluators = Evaluators::new(parameters);
-    let parts: Vec<Sums> = utterances
-        .par_chunks(CHUNK)
-        .map(|chunk| {
-            let mut sums = Sums::new(parameters);
-            for utterance in chunk {
-                expect_one(parameters, &evaluators, utterance, tolerance, &mut sums);
-            }
-            done(chunk.len());
-            sums
-        })
-        .collect();
-    let mut total = Sums::new(parameters);
-    parts.into_iter().for_each(|part| total.merge(part));
-    total
+    expect_from(parameters, utterances, 0..utterances.len(), tolerance, done)
+        .expect("utterances in memory are there")
 }
+
+/// Number of chunks that so many utterances are summed in.
+pub fn chunks(utterances: usize) -> usize {
+    utterances.div_ceil(CHUNK)
+}
+
+/// The utterances of chunks `from..to` of [`chunks`].
+pub fn chunk_range(from: usize, to: usize, utterances: usize) -> Range<usize> {
+    (from * CHUNK).min(utterances)..(to * CHUNK).min(utterances)
+}
+
+/// E step over the utterances `range` of a source, which begins at a chunk. No more than a few chunks are in memory at
+/// once; the error is the source's.
+pub fn expect_from<S: Source + ?Sized>(
+    parameters: &Parameters,
+    utterances: &S,
+    range: Range<usize>,
+    tolerance: Option<usize>,
+    done: &(dyn Fn(usize) + Sync),
+) -> Result<Sums> {
+    let evaluators = Evaluators::new(parameters);
+    let firsts: Vec<usize> = range.clone().step_by(CHUNK).collect();
+    let mut total = Sums::new(parameters);
+    for wave in firsts.chunks(CHUNKS_PER_THREAD * rayon::current_num_threads()) {
+        let parts: Vec<Sums> = wave
+            .par_iter()
+            .map(|&first| {
+                let mut sums = Sums::new(parameters);
+                let chunk = first..(first + CHUNK).min(range.end);
+                done(chunk.len());
+                for n in chunk {
+                    expect_one(
+                        parameters,
+                        &evaluators,
+                        &*utterances.get(n)?,
+                        tolerance,
+                        &mut sums,
+                    );
+                }
+                Ok(sums)
+            })
+            .collect::<Result<_>>()?;
+        // In the order of the chunks, whatever the number of threads.
+        parts.into_iter().for_each(|part| total.merge(part));
+    }
+    Ok(total)
+}
+
+/// What the data cannot teach, a line each: phones that are hardly ever said, numbers that never change.
+pub fn warnings(parameters: &Parameters, sums: &Sums, floors: &Floors) -> Vec<String> {
+    let mut out = Vec::new();
+    for (p, phone) in parameters.phones.iter().enumerate() {
+        let states = N_EMITTING * p..N_EMITTING * (p + 1);
+        let rows = states.map(|s| sums.audio.occupancy.row(s).sum());
+        let (frames, untaught) = rows.fold((0.0, 0), |(frames, untaught), n| {
+            (frames + n, untaught + usize::from(n < floors.occupancy))
+        });
+        if untaught > 0 && frames > 0.5 {
+            out.push(format!(
+                "warning: {} is said in {frames:.0} frames only; {untaught} of its {N_EMITTING} states keep what they had",
+                phone.name()
+            ));
+        }
+    }
+    let (_, variance) = sums.audio.pooled();
+    let constant: Vec<String> = (0..variance.len())
+        .filter(|&i| variance[i] < CONSTANT)
+        .map(|i| i.to_string())
+        .collect();
+    if !constant.is_empty() {
+        out.push(format!(
+            "warning: audio numbers {} never change; their variances are floored",
+            constant.join(", ")
+        ));
+    }
+    out
+}
+
+/// A smaller pooled variance is that of a number that does not change.
+const CONSTANT: f64 = 1e-9;
 
 /// M step: densities and transitions.
 pub fn maximise(parameters: &mut Parameters, sums: &Sums, audio: &Floors, visual: Option<&Floors>) {

@@ -129,7 +129,7 @@ pub(super) fn retrain(
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     }
     loop {
-        let sums = passes(&mut parameters, &all, &floors, None, settings.iterations, say)?;
+        let sums = passes(&mut parameters, &all, &floors, None, settings, say)?;
         if parameters.audio.mean.dim().1 >= components {
             return Ok(parameters.audio);
         }

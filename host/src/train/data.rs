@@ -108,12 +108,31 @@ pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Op
     (!said.is_empty()).then(|| PhoneNetwork::chain(&said))
 }
 
+/// The network of a clip that can be used; `Err` says why it cannot. Looks at the manifest only.
+pub fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
+    let Some(network) = network(clip, index) else {
+        bail!(
+            "clip {}: its transcript holds a phone that the model does not have, or none at all",
+            clip.id
+        )
+    };
+    if network.shortest(N_EMITTING) > clip.audio_frames {
+        bail!(
+            "clip {}: {} frames are too few for its phones",
+            clip.id,
+            clip.audio_frames
+        );
+    }
+    Ok(network)
+}
+
 /// Reads one clip; `Err` says why it cannot be used.
 pub fn utterance(
     folder: &FeatureFolder,
     clip: &Clip,
     index: &dyn Fn(Phone) -> Option<usize>,
 ) -> Result<Utterance> {
+    let network = usable(clip, index)?;
     let audio = folder.audio(clip)?;
     let visual = match clip.video_frames {
         0 => None,
@@ -123,19 +142,6 @@ pub fn utterance(
             clip.audio_frames,
         )),
     };
-    let Some(network) = network(clip, index) else {
-        bail!(
-            "clip {}: its transcript holds a phone that the model does not have, or none at all",
-            clip.id
-        )
-    };
-    if network.shortest(N_EMITTING) > audio.nrows() {
-        bail!(
-            "clip {}: {} frames are too few for its phones",
-            clip.id,
-            audio.nrows()
-        );
-    }
     let start = start_labels(&timed_phones(clip), clip.audio_frames, index)?;
     Ok(Utterance {
         id: clip.id.clone(),

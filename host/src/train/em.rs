@@ -7,6 +7,7 @@ use ndarray::{Array2, Array3, Axis, concatenate, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+use super::state::State;
 use super::{Say, Settings};
 use crate::hmm::density::{self, Floors};
 use crate::hmm::em::{self, Parameters, Utterance};
@@ -15,7 +16,7 @@ use crate::model::Mixtures;
 use crate::phones::Phone;
 
 /// Frames that a component must have before it is split.
-const ENOUGH_TO_SPLIT: f64 = 30.0;
+pub(super) const ENOUGH_TO_SPLIT: f64 = 30.0;
 
 /// What the first stage leaves.
 pub(super) struct Coupled {
@@ -41,8 +42,45 @@ pub(super) fn coupled(
         return Ok(Coupled { parameters, aligned });
     }
     let stacked = stack(train)?;
-    let mut parameters = grow(&stacked, &stack(validation)?, phones, system, settings, say)?;
-    let aligned = em::align(&parameters, &stacked);
+    let parameters = grow(&stacked, &stack(validation)?, phones, system, settings, say)?;
+    Ok(part(parameters, train, &stacked))
+}
+
+/// The first stage as `lipstream train accumulate` and `merge` have done it.
+pub(super) fn from_state(state: &State, train: &[Utterance], phones: &[Phone]) -> Result<Coupled> {
+    let parameters = state.parameters.clone();
+    if parameters.phones != phones {
+        bail!(
+            "the state is over {} phones, the clips say {}: start it with the same folders",
+            parameters.phones.len(),
+            phones.len()
+        );
+    }
+    let sizes = |u: &Utterance| (u.audio.ncols(), u.visual.as_ref().map(|v| v.ncols()));
+    let joint = state.system.density == Density::Joint;
+    let have = (
+        parameters.audio.mean.dim().2,
+        parameters.visual.as_ref().map(|v| v.mean.dim().2),
+    );
+    if let Some((audio, visual)) = train.first().map(sizes) {
+        let want = match joint {
+            true => (audio + visual.unwrap_or(0), None),
+            false => (audio, visual),
+        };
+        if have != want {
+            bail!("the state is of other features: start it with the same folders");
+        }
+    }
+    if joint {
+        return Ok(part(parameters, train, &stack(train)?));
+    }
+    let aligned = em::align(&parameters, train);
+    Ok(Coupled { parameters, aligned })
+}
+
+/// Aligns, and parts joint densities into those of the sound and those of the mouth.
+fn part(mut parameters: Parameters, train: &[Utterance], stacked: &[Utterance]) -> Coupled {
+    let aligned = em::align(&parameters, stacked);
     let audio_size = train.first().map_or(0, |u| u.audio.ncols());
     let both = parameters.audio;
     let part = |of: &Array3<f32>, from, to| of.slice(s![.., .., from..to]).to_owned();
@@ -57,26 +95,27 @@ pub(super) fn coupled(
         variance: part(&both.variance, audio_size, end),
         log_weight: both.log_weight,
     });
-    Ok(Coupled { parameters, aligned })
+    Coupled { parameters, aligned }
 }
 
 /// [oᵃ; oᵛ] as one observation.
 fn stack(utterances: &[Utterance]) -> Result<Vec<Utterance>> {
-    utterances
-        .iter()
-        .map(|u| {
-            let visual = u
-                .visual
-                .as_ref()
-                .with_context(|| format!("clip {} has no video", u.id))?;
-            let audio: Array2<f32> = concatenate(Axis(1), &[u.audio.view(), visual.view()])?;
-            Ok(Utterance {
-                audio: audio.as_standard_layout().into_owned(),
-                visual: None,
-                ..u.clone()
-            })
-        })
-        .collect()
+    utterances.iter().map(stacked).collect()
+}
+
+pub(super) fn stacked(u: &Utterance) -> Result<Utterance> {
+    let visual = u
+        .visual
+        .as_ref()
+        .with_context(|| format!("clip {} has no video", u.id))?;
+    let audio: Array2<f32> = concatenate(Axis(1), &[u.audio.view(), visual.view()])?;
+    Ok(Utterance {
+        id: u.id.clone(),
+        audio: audio.as_standard_layout().into_owned(),
+        visual: None,
+        network: u.network.clone(),
+        start: u.start.clone(),
+    })
 }
 
 /// Grows mixtures by splitting, with EM passes in between; prints the log likelihood of each. The numbers of components
@@ -98,7 +137,7 @@ fn grow(
             train,
             &audio_floors,
             visual_floors.as_ref(),
-            settings.iterations,
+            settings,
             say,
         )?;
         if !validation.is_empty() {
@@ -132,17 +171,24 @@ pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
     parameters.audio = density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, None);
 }
 
-/// `n` passes of EM; returns the sums of the last one.
+/// A stage of EM passes; returns the sums of the last one. What an interrupted run has kept is taken up.
 pub(super) fn passes(
     parameters: &mut Parameters,
     utterances: &[Utterance],
     audio: &Floors,
     visual: Option<&Floors>,
-    n: usize,
+    settings: &Settings,
     say: Say,
 ) -> Result<em::Sums> {
-    let mut last = None;
-    for _ in 0..n.max(1) {
+    let n = settings.iterations.max(1);
+    let stage = settings.progress.stage();
+    let (mut done, mut last) = (0, None);
+    if let Some((pass, kept, sums)) = stage.load(n, parameters) {
+        say(&format!("  {pass} of {n} passes were made before"));
+        *parameters = kept;
+        (done, last) = (pass, Some(sums));
+    }
+    for pass in done + 1..=n {
         let begun = Instant::now();
         let sums = em::expect(parameters, utterances, &|_| ());
         if sums.frames == 0 {
@@ -155,7 +201,13 @@ pub(super) fn passes(
                 sums.failed.join(" ")
             ));
         }
+        if pass == 1 {
+            em::warnings(parameters, &sums, audio)
+                .iter()
+                .for_each(|line| say(line));
+        }
         em::maximise(parameters, &sums, audio, visual);
+        stage.save(pass, parameters, &sums)?;
         say(&format!(
             "  K = {}: log likelihood {:.4} a frame ({:.1} s)",
             parameters.audio.mean.dim().1,

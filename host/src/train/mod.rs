@@ -5,6 +5,10 @@ mod bigram;
 pub mod data;
 mod em;
 pub(crate) mod maps;
+pub mod progress;
+pub mod shards;
+pub mod state;
+pub mod sums;
 
 use anyhow::{Context as _, Result, bail};
 use ndarray::Array1;
@@ -12,6 +16,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
+use self::progress::Progress;
+use self::state::State;
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::Hmm;
 use crate::hmm::em::Utterance;
@@ -45,6 +51,10 @@ pub struct Settings {
     pub clips: Option<usize>,
     /// 0: components split along all dimensions alike; else the directions are drawn.
     pub seed: u64,
+    /// Where an interrupted run is taken up from; by default nothing is kept.
+    pub progress: Progress,
+    /// The first stage as shards have done it, in place of joint EM.
+    pub state: Option<State>,
 }
 
 impl Default for Settings {
@@ -61,6 +71,8 @@ impl Default for Settings {
             penalties: vec![100.0, 300.0, 1000.0],
             clips: None,
             seed: 0,
+            progress: Progress::default(),
+            state: None,
         }
     }
 }
@@ -108,7 +120,11 @@ pub fn train(
         phones.len(),
         train.len()
     ));
-    let mut coupled = em::coupled(&train, &validation, &phones, system, settings, say)?;
+    let mut coupled = match &settings.state {
+        Some(state) if state.system == system => em::from_state(state, &train, &phones)?,
+        Some(state) => bail!("the state is of {}, not of {}", state.system.name, system.name),
+        None => em::coupled(&train, &validation, &phones, system, settings, say)?,
+    };
     let seen = audio::seen(&train, phones.len());
     coupled.parameters.transition = audio::pool_unseen(&coupled.parameters, &seen);
     audio::look_of_viseme(&mut coupled, &seen);
