@@ -36,7 +36,7 @@ pub(crate) struct Args {
     /// Format [default: by OUT's extension, else textgrid]
     #[arg(long)]
     format: Option<Format>,
-    /// Pronunciations that come before the built-in ones, in CMUdict's text format
+    /// Pronunciations that come before the built-in ones: lines `name  N EY1 M`, variants as `name(2)  N AE1 M`
     #[arg(long, value_name = "FILE")]
     dictionary: Option<PathBuf>,
     /// Only clips of this split of a feature folder

@@ -24,7 +24,7 @@ pub(crate) struct Args {
     /// Folder for the features; new, or from an earlier run
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
-    /// Pronunciations that come before the built-in ones, in CMUdict's text format
+    /// Pronunciations that come before the built-in ones: lines `name  N EY1 M`, variants as `name(2)  N AE1 M`
     #[arg(long, value_name = "FILE")]
     dictionary: Option<PathBuf>,
     /// Speakers for the test, separated by commas

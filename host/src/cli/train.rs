@@ -117,12 +117,15 @@ fn whole(args: Args) -> Result<()> {
         seed: args.seed,
         ..Settings::default()
     };
+    let mut state_checksum = 0;
     if let Some(path) = &args.state {
-        settings.state = Some(State::read(path)?.0);
+        let (state, checksum) = State::read(path)?;
+        (settings.state, state_checksum) = (Some(state), checksum);
     }
     let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
     if by_likelihood_first {
-        settings.progress = Progress::beside(&args.output, &this_run(&folder, &heard, &settings)?)?;
+        let run = this_run(&folder, &heard, &settings)?;
+        settings.progress = Progress::beside(&args.output, &format!("{run}{state_checksum:08x}\n"))?;
     }
     let begun = std::time::Instant::now();
     let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));

@@ -13,6 +13,7 @@ use crate::model::Model;
 /// Settings of `--train mge`; they say nothing about likelihood training.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "With --train mge")]
+#[group(skip)]
 pub(crate) struct Args {
     /// Likelihood-trained model to start from [default: it is trained first]
     #[arg(long, value_name = "MODEL.safetensors")]

@@ -263,6 +263,76 @@ mod tests {
     }
 
     #[test]
+    fn bad_files_are_named_with_place_and_reason() {
+        let grid = "File type = \"ooTextFile\"\nObject class = \"TextGrid\"\n\n0\n1\n<exists>\n1\n\"IntervalTier\"\n\
+                    \"words\"\n0\n1\n1\n0\n1\n\"hey\"\n";
+        let wide: Vec<u8> = [0xFF, 0xFE]
+            .into_iter()
+            .chain(
+                grid.replace("<exists>", "yes")
+                    .encode_utf16()
+                    .flat_map(u16::to_le_bytes),
+            )
+            .collect();
+        let bytes = |text: &str| text.as_bytes().to_vec();
+        let cases = [
+            (
+                "a.align",
+                bytes("0 9250 sil\n9250 lay\n"),
+                "line 2: expected `start end label`",
+            ),
+            ("b.phn", bytes("0 8000 h#\n8000 9000 qq\n"), "\"qq\" is no phone"),
+            (
+                "c.wrd",
+                bytes("0 8000 she\n9000 8500 had\n"),
+                "line 2: from 9000 to 8500",
+            ),
+            (
+                "d.wrd",
+                bytes("0 8000 she\n8000 99999 had\n"),
+                "are they this clip's?",
+            ),
+            (
+                "e.lab",
+                bytes("0 5000000 sil\n5000000 x aa\n"),
+                "line 2: expected `start end label`",
+            ),
+            ("f.lab", bytes("#!MLF!#\n"), "write one .lab file for each clip"),
+            (
+                "g.TextGrid",
+                bytes(&grid.replace("\n\"hey\"\n", "\n")),
+                "ends after line 14 where the text",
+            ),
+            (
+                "h.TextGrid",
+                bytes(&grid.replace("<exists>", "7")),
+                "line 6: expected <exists>, found 7",
+            ),
+            ("i.TextGrid", wide, "expected <exists>, found 1"),
+            (
+                "j.TextGrid",
+                bytes("ooBinaryFile"),
+                "save it in Praat as a text file",
+            ),
+            (
+                "k.TextGrid",
+                bytes(&grid.replace("\"hey\"", "\"hey")),
+                "line 15: a text without its closing quote",
+            ),
+            ("l.txt", vec![b'a', 0, b'b'], "not a text file"),
+            ("m.txt", vec![0xFF, 0xFE, 0x61], "half a character"),
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        for (name, content, says) in cases {
+            let path = folder.path().join(name);
+            std::fs::write(&path, content).unwrap();
+            let error = format!("{:#}", read(&[&path], 1.0).unwrap_err());
+            assert!(error.contains(name) && error.contains(says), "{name}: {error}");
+            assert!(!error.contains('\n'), "{error}");
+        }
+    }
+
+    #[test]
     fn nothing_that_is_cut_or_mixed_up_makes_a_parser_panic() {
         let samples = [
             ("align", "0 9250 sil\r\n9250 21500 lay\r\n"),

@@ -19,16 +19,23 @@ pub(super) struct Tier {
     pub(super) intervals: Vec<Interval>,
 }
 
-/// Free-standing tokens of `text`.
-fn tokens(text: &str) -> Result<Vec<Token>> {
+/// Free-standing tokens of `text`, with the lines they are on.
+fn tokens(text: &str) -> Result<Vec<(usize, Token)>> {
     let mut out = Vec::new();
     let mut rest = text.trim_start();
+    // Lines are counted as the text is passed over.
+    let (mut line, mut counted) = (1, 0);
     while let Some(first) = rest.chars().next() {
+        let place = text.len() - rest.len();
+        line += text[counted..place].matches('\n').count();
+        counted = place;
         if first == '"' {
             let mut value = String::new();
             rest = &rest[1..];
             loop {
-                let quote = rest.find('"').context("a text without its closing quote")?;
+                let quote = rest
+                    .find('"')
+                    .with_context(|| format!("line {line}: a text without its closing quote"))?;
                 value.push_str(&rest[..quote]);
                 rest = &rest[quote + 1..];
                 if !rest.starts_with('"') {
@@ -37,16 +44,16 @@ fn tokens(text: &str) -> Result<Vec<Token>> {
                 value.push('"');
                 rest = &rest[1..];
             }
-            out.push(Token::Text(value));
+            out.push((line, Token::Text(value)));
         } else if first == '!' {
             rest = rest.find('\n').map_or("", |end| &rest[end..]);
         } else {
             let end = rest.find(char::is_whitespace).unwrap_or(rest.len());
             let word = &rest[..end];
             if word.starts_with('<') && word.ends_with('>') {
-                out.push(Token::Flag(word.to_owned()));
+                out.push((line, Token::Flag(word.to_owned())));
             } else if let Ok(number) = word.parse::<f64>() {
-                out.push(Token::Number(number));
+                out.push((line, Token::Number(number)));
             }
             rest = &rest[end..];
         }
@@ -55,22 +62,49 @@ fn tokens(text: &str) -> Result<Vec<Token>> {
     Ok(out)
 }
 
-struct Reader(std::vec::IntoIter<Token>);
+impl std::fmt::Display for Token {
+    fn fmt(&self, f: &mut std::fmt::Formatter) -> std::fmt::Result {
+        match self {
+            Token::Number(number) => write!(f, "{number}"),
+            Token::Text(text) => write!(f, "{text:?}"),
+            Token::Flag(flag) => write!(f, "{flag}"),
+        }
+    }
+}
+
+struct Reader {
+    tokens: std::vec::IntoIter<(usize, Token)>,
+    /// Line of the token that was read last.
+    line: usize,
+}
 
 impl Reader {
+    fn next(&mut self) -> Option<Token> {
+        let (line, token) = self.tokens.next()?;
+        self.line = line;
+        Some(token)
+    }
+
+    fn ends<T>(&self, what: &str) -> Result<T> {
+        bail!(
+            "the TextGrid ends after line {} where {what} should come: it is cut short, save it in Praat again",
+            self.line
+        )
+    }
+
     fn text(&mut self, what: &str) -> Result<String> {
-        match self.0.next() {
+        match self.next() {
             Some(Token::Text(text)) => Ok(text),
-            Some(other) => bail!("expected {what} in quotes, found {other:?}"),
-            None => bail!("the TextGrid ends before {what}"),
+            Some(other) => bail!("line {}: expected {what} in quotes, found {other}", self.line),
+            None => self.ends(what),
         }
     }
 
     fn number(&mut self, what: &str) -> Result<f64> {
-        match self.0.next() {
+        match self.next() {
             Some(Token::Number(number)) if number.is_finite() => Ok(number),
-            Some(other) => bail!("expected {what}, found {other:?}"),
-            None => bail!("the TextGrid ends before {what}"),
+            Some(other) => bail!("line {}: expected {what}, found {other}", self.line),
+            None => self.ends(what),
         }
     }
 
@@ -78,7 +112,7 @@ impl Reader {
     fn count(&mut self, what: &str) -> Result<u64> {
         let number = self.number(what)?;
         if number < 0.0 || number.fract() != 0.0 || number > 1e9 {
-            bail!("{what} is {number}");
+            bail!("line {}: {what} is {number}", self.line);
         }
         Ok(number as u64)
     }
@@ -89,7 +123,10 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
     if text.starts_with("ooBinaryFile") {
         bail!("a binary TextGrid: save it in Praat as a text file");
     }
-    let mut reader = Reader(tokens(text)?.into_iter());
+    let mut reader = Reader {
+        tokens: tokens(text)?.into_iter(),
+        line: 1,
+    };
     let kind = reader.text("the file type")?;
     let class = if kind == "ooTextFile" {
         reader.text("the object class")?
@@ -101,10 +138,11 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
     }
     reader.number("the start time")?;
     reader.number("the end time")?;
-    match reader.0.next() {
+    match reader.next() {
         Some(Token::Flag(flag)) if flag == "<exists>" => {}
         Some(Token::Flag(_)) => return Ok(Vec::new()),
-        other => bail!("expected <exists>, found {other:?}"),
+        Some(other) => bail!("line {}: expected <exists>, found {other}", reader.line),
+        None => return reader.ends("<exists>"),
     }
     let mut tiers = Vec::new();
     for _ in 0..reader.count("the number of tiers")? {
@@ -121,7 +159,10 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
                     let end = reader.number("the end of an interval")?;
                     let label = reader.text("the text of an interval")?;
                     if end < start {
-                        bail!("tier {name:?}: an interval from {start} to {end}");
+                        bail!(
+                            "line {}: tier {name:?} has an interval from {start} to {end}",
+                            reader.line
+                        );
                     }
                     intervals.push(Interval { start, end, label });
                 }
@@ -132,7 +173,10 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
                     reader.text("the mark of a point")?;
                 }
             }
-            other => bail!("a tier of class {other:?}"),
+            other => bail!(
+                "line {}: a tier of class {other:?}; IntervalTier and TextTier are known",
+                reader.line
+            ),
         }
         tiers.push(Tier { name, intervals });
     }
