@@ -258,7 +258,7 @@ fn what_cannot_be_sharded_is_said() {
         "nowhere",
     );
     says(&["merge", "a.state", "-m", "a.state", "-o", "b.state"], "a.state");
-    says(&[], "start, accumulate, merge");
+    says(&[], "required arguments");
     let first = program()
         .args([
             "train",

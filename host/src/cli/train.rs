@@ -1,5 +1,5 @@
 //! `lipstream train`: features to a model.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 
@@ -20,20 +20,21 @@ pub(crate) struct Train {
     #[command(subcommand)]
     pieces: Option<Shards>,
     #[command(flatten)]
-    whole: Option<Args>,
+    whole: Args,
 }
 
 /// Train a model: a coupled HMM over phones and visemes with local linear visual maps, or another of the papers' systems
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Feature folder with video (made by `lipstream prepare`)
-    dir: PathBuf,
+    #[arg(required = true)]
+    dir: Option<PathBuf>,
     /// Feature folder whose sound trains the audio densities too; may be given many times
     #[arg(long, value_name = "DIR")]
     audio: Vec<PathBuf>,
     /// Model to write
-    #[arg(short, long, value_name = "MODEL.safetensors")]
-    output: PathBuf,
+    #[arg(short, long, value_name = "MODEL.safetensors", required = true)]
+    output: Option<PathBuf>,
     /// System to train
     #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
     system: System,
@@ -90,17 +91,20 @@ pub(super) fn system(name: &str) -> Result<System> {
 }
 
 pub(crate) fn run(args: Train) -> Result<()> {
-    match (args.pieces, args.whole) {
-        (Some(pieces), _) => train_shards::run(pieces),
-        (None, Some(args)) => whole(args),
-        (None, None) => bail!("give a feature folder, or one of start, accumulate, merge"),
+    match args.pieces {
+        Some(pieces) => train_shards::run(pieces),
+        None => whole(args.whole),
     }
 }
 
 fn whole(args: Args) -> Result<()> {
-    let folder = FeatureFolder::open(&args.dir)?;
+    // Only with start, accumulate or merge are they not there.
+    let (Some(dir), Some(output)) = (&args.dir, &args.output) else {
+        bail!("give a feature folder and --output");
+    };
+    let folder = FeatureFolder::open(dir)?;
     if args.sound_only {
-        return sound_only(&folder, &args);
+        return sound_only(&folder, &args, output);
     }
     let heard = args
         .audio
@@ -125,32 +129,24 @@ fn whole(args: Args) -> Result<()> {
     let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
     if by_likelihood_first {
         let run = this_run(&folder, &heard, &settings)?;
-        settings.progress = Progress::beside(&args.output, &format!("{run}{state_checksum:08x}\n"))?;
+        settings.progress = Progress::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
     }
     let begun = std::time::Instant::now();
     let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
     match args.method {
-        Method::Likelihood => by_likelihood()?.write(&args.output)?,
+        Method::Likelihood => by_likelihood()?.write(output)?,
         Method::Mge => {
             let twin = match &args.mge.from {
                 Some(path) => Model::read(path)?,
                 None => by_likelihood()?,
             };
-            train_mge::run(
-                &args.mge,
-                &folder,
-                &heard,
-                &twin,
-                args.clips,
-                args.seed,
-                &args.output,
-            )?;
+            train_mge::run(&args.mge, &folder, &heard, &twin, args.clips, args.seed, output)?;
         }
     }
     settings.progress.finish()?;
     eprintln!(
         "wrote {} after {:.0} s",
-        args.output.display(),
+        output.display(),
         begun.elapsed().as_secs_f32()
     );
     Ok(())
@@ -165,14 +161,14 @@ fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &Settings
     Ok(run)
 }
 
-fn sound_only(folder: &FeatureFolder, args: &Args) -> Result<()> {
+fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> {
     let settings = align::train::Settings {
         mixtures: args.audio_mixtures,
         iterations: args.iterations,
         tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
         without: args.without.clone(),
     };
-    align::train::train(folder, &settings, &|line| eprintln!("{line}"))?.write(&args.output)?;
-    eprintln!("wrote {}", args.output.display());
+    align::train::train(folder, &settings, &|line| eprintln!("{line}"))?.write(output)?;
+    eprintln!("wrote {}", output.display());
     Ok(())
 }
