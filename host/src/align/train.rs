@@ -35,7 +35,7 @@ impl Default for Settings {
         Self {
             mixtures: 4,
             iterations: 4,
-            tolerance: Some(1),
+            tolerance: Some(2),
             without: Vec::new(),
         }
     }
