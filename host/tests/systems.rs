@@ -15,6 +15,9 @@ use ndarray::{Array1, Array2, Array3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+/// Called with a path's probability and its states.
+type Visit<'a> = dyn FnMut(f64, &[(usize, usize)]) + 'a;
+
 /// A tiny HMM of everything a system needs: three phones of two visemes, two components a state.
 struct Tiny {
     system: System,
@@ -116,7 +119,7 @@ impl Tiny {
     }
 
     /// Calls `path(probability, [(audio state, visual state)])` for every path of `frames` frames over the phone loop.
-    fn every_path(&self, frames: usize, path: &mut dyn FnMut(f64, &[(usize, usize)])) {
+    fn every_path(&self, frames: usize, path: &mut Visit<'_>) {
         for (p, log) in self.initial.iter().enumerate() {
             let mut said = vec![p];
             let first = vec![(N_EMITTING * p, N_EMITTING * self.atom(p))];
@@ -131,7 +134,7 @@ impl Tiny {
         probability: f64,
         so_far: Vec<(usize, usize)>,
         frames: usize,
-        path: &mut dyn FnMut(f64, &[(usize, usize)]),
+        path: &mut Visit<'_>,
     ) {
         if so_far.len() == frames {
             return path(probability, &so_far);

@@ -36,7 +36,7 @@ enum Command {
     Features(features::Args),
     Prepare(prepare::Args),
     Render(render::Args),
-    Train(train::Train),
+    Train(Box<train::Train>),
 }
 
 /// Parses the arguments (the first is the program's name) and runs the command.
@@ -51,7 +51,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Features(args) => features::run(args),
         Command::Prepare(args) => prepare::run(args),
         Command::Render(args) => render::run(args),
-        Command::Train(args) => train::run(args),
+        Command::Train(args) => train::run(*args),
     }
 }
 

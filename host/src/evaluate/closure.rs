@@ -369,10 +369,18 @@ mod tests {
 
     #[test]
     fn a_mouth_that_never_closes_has_no_precision() {
-        let row = judge("x", &[truth(&[0.0, 2.0], vec![0..2])], &[vec![5.0, 5.0]]);
+        let row = judge(
+            "x",
+            &[truth(&[0.0, 2.0], std::iter::once(0..2).collect())],
+            &[vec![5.0, 5.0]],
+        );
         assert_eq!((row.precision, row.recall, row.bilabials_kept), (0.0, 0.0, 0.0));
         // A prediction that ends early is judged as far as it goes.
-        let row = judge("x", &[truth(&[0.0, 2.0, 0.0], vec![0..3])], &[vec![0.0]]);
+        let row = judge(
+            "x",
+            &[truth(&[0.0, 2.0, 0.0], std::iter::once(0..3).collect())],
+            &[vec![0.0]],
+        );
         assert_eq!((row.precision, row.recall, row.bilabials_kept), (1.0, 1.0, 1.0));
     }
 

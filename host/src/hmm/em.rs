@@ -14,9 +14,14 @@ use super::evaluator::{Evaluator, Likelihoods};
 use super::forward_backward::{forward, viterbi};
 use super::graph::Graph;
 use super::network::PhoneNetwork;
-use super::topology::{Pairing, Topology};
-use crate::model::{Mixtures, N_EMITTING, choice};
+use super::topology::Topology;
+use crate::model::{Mixtures, N_EMITTING};
 use crate::phones::Phone;
+
+mod transitions;
+
+use transitions::maximise_transitions;
+pub use transitions::start_transitions;
 
 /// Utterances whose sums are added up before they join the others.
 const CHUNK: usize = 8;
@@ -111,25 +116,6 @@ impl Sums {
     pub fn per_frame(&self) -> f64 {
         self.log_likelihood / self.frames.max(1) as f64
     }
-}
-
-/// Every choice that a row allows; staying is likelier, so that a state lasts about three frames.
-pub fn start_transitions(topology: Topology, phones: usize) -> Array3<f32> {
-    const STAY: f32 = 0.65;
-    if topology.pairing == Pairing::Free {
-        return Array3::from_shape_fn((phones, topology.classes_per_phone(), 4), |(_, class, c)| {
-            independent(class, 1.0 - STAY, 1.0 - STAY)[c]
-        });
-    }
-    Array3::from_shape_fn((phones, topology.classes_per_phone(), 4), |(_, class, c)| {
-        let allowed = topology.allowed(class);
-        let others = allowed.iter().filter(|a| **a).count() as f32 - 1.0;
-        match (allowed[c], c == choice::STAY) {
-            (false, _) => Mixtures::NO_WEIGHT,
-            (true, true) => STAY.ln(),
-            (true, false) => ((1.0 - STAY) / others).ln(),
-        }
-    })
 }
 
 /// Single Gaussians from the frames' start labels; both chains at the same place.
@@ -482,111 +468,6 @@ pub fn maximise(parameters: &mut Parameters, sums: &Sums, audio: &Floors, visual
     maximise_transitions(parameters, &sums.transition);
 }
 
-/// What the chances that were before weigh in an M step, in frames.
-const PRIOR: f64 = 3.0;
-
-/// Transition rows from expected counts (eq. A.16), with [`PRIOR`] frames' weight on what they were before.
-fn maximise_transitions(parameters: &mut Parameters, counts: &Array3<f64>) {
-    if parameters.topology.pairing == Pairing::Free {
-        return maximise_independent(parameters, counts);
-    }
-    let (phones, classes, _) = counts.dim();
-    for p in 0..phones {
-        for class in 0..classes {
-            let allowed = parameters.topology.allowed(class);
-            let n: f64 = (0..4).map(|c| counts[[p, class, c]]).sum();
-            for c in 0..4 {
-                if allowed[c] {
-                    let before = f64::from(parameters.transition[[p, class, c]]).exp();
-                    let share = (counts[[p, class, c]] + PRIOR * before) / (n + PRIOR);
-                    parameters.transition[[p, class, c]] = share.ln() as f32;
-                }
-            }
-        }
-    }
-}
-
-/// Logs of the four choices of pair (i, j) when each chain advances by its own chance (eq. 18). In the last state a
-/// chain waits for the other; when both are there, `audio` is the chance to leave the phone.
-fn independent(class: usize, audio: f32, visual: f32) -> [f32; 4] {
-    const LAST: usize = N_EMITTING - 1;
-    let (i, j) = (class / N_EMITTING, class % N_EMITTING);
-    let mut row = [0.0; 4];
-    match (i < LAST, j < LAST) {
-        (false, false) => (row[choice::STAY], row[choice::BOTH_ADVANCE]) = (1.0 - audio, audio),
-        (a, v) => {
-            let (audio, visual) = (if a { audio } else { 0.0 }, if v { visual } else { 0.0 });
-            row[choice::STAY] = (1.0 - audio) * (1.0 - visual);
-            row[choice::AUDIO_ADVANCES] = audio * (1.0 - visual);
-            row[choice::VISUAL_ADVANCES] = (1.0 - audio) * visual;
-            row[choice::BOTH_ADVANCE] = audio * visual;
-        }
-    }
-    row.map(|p| if p > 0.0 { p.ln() } else { Mixtures::NO_WEIGHT })
-}
-
-/// Chances of chains that do not see each other: the audio chain's per phone and state, whatever the mouth does; the
-/// visual chain's per visual atom and state, whatever the sound does.
-fn maximise_independent(parameters: &mut Parameters, counts: &Array3<f64>) {
-    const LAST: usize = N_EMITTING - 1;
-    let topology = parameters.topology;
-    let atom: Vec<usize> = parameters
-        .phones
-        .iter()
-        .enumerate()
-        .map(|(p, &phone)| topology.visual_atom(p, phone))
-        .collect();
-    // (times that it advanced, frames), with what it was before.
-    let mut audio = vec![(0.0, 0.0); parameters.phones.len() * N_EMITTING];
-    let mut visual = vec![(0.0, 0.0); topology.n_visual_states(parameters.phones.len())];
-    let mut before_visual = vec![0.0; visual.len()];
-    for (p, &atom) in atom.iter().enumerate() {
-        for class in 0..N_EMITTING * N_EMITTING {
-            let (i, j) = (class / N_EMITTING, class % N_EMITTING);
-            let n: f64 = (0..4).map(|c| counts[[p, class, c]]).sum();
-            let both = counts[[p, class, choice::BOTH_ADVANCE]];
-            if i < LAST || j == LAST {
-                audio[N_EMITTING * p + i].0 += both + counts[[p, class, choice::AUDIO_ADVANCES]];
-                audio[N_EMITTING * p + i].1 += n;
-            }
-            if j < LAST {
-                visual[N_EMITTING * atom + j].0 += both + counts[[p, class, choice::VISUAL_ADVANCES]];
-                visual[N_EMITTING * atom + j].1 += n;
-            }
-        }
-        for j in 0..LAST {
-            let row = topology.inside_class(LAST, j);
-            before_visual[N_EMITTING * atom + j] =
-                f64::from(parameters.transition[[p, row, choice::VISUAL_ADVANCES]]).exp();
-        }
-    }
-    let chance = |(advanced, n): (f64, f64), before: f64| ((advanced + PRIOR * before) / (n + PRIOR)) as f32;
-    for (p, &atom) in atom.iter().enumerate() {
-        let before: Vec<f64> = (0..N_EMITTING)
-            .map(|i| {
-                let c = if i == LAST {
-                    choice::BOTH_ADVANCE
-                } else {
-                    choice::AUDIO_ADVANCES
-                };
-                f64::from(parameters.transition[[p, topology.inside_class(i, LAST), c]]).exp()
-            })
-            .collect();
-        for class in 0..N_EMITTING * N_EMITTING {
-            let (i, j) = (class / N_EMITTING, class % N_EMITTING);
-            let (a, v) = (N_EMITTING * p + i, N_EMITTING * atom + j);
-            let row = independent(
-                class,
-                chance(audio[a], before[i]),
-                chance(visual[v], before_visual[v]),
-            );
-            for (c, log) in row.into_iter().enumerate() {
-                parameters.transition[[p, class, c]] = log;
-            }
-        }
-    }
-}
-
 /// Forced alignment: audio state and visual state of every frame; `None` where no path fits.
 pub fn align(parameters: &Parameters, utterances: &[Utterance]) -> Vec<Option<Vec<(usize, usize)>>> {
     let evaluators = Evaluators::new(parameters);
@@ -606,151 +487,4 @@ pub fn align(parameters: &Parameters, utterances: &[Utterance]) -> Vec<Option<Ve
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-    use rand_pcg::Pcg64;
-
-    /// Two phones whose sound and look differ, said in turn, with noise.
-    fn corpus() -> (Vec<Utterance>, Vec<Phone>) {
-        let phones: Vec<Phone> = ["sil", "b", "iy"].map(|n| Phone::from_name(n).unwrap()).to_vec();
-        let mut rng = Pcg64::seed_from_u64(11);
-        let utterances = (0..20)
-            .map(|n| {
-                let said = [0, 1, 2, 1, 2, 0];
-                let mut rows = Vec::new();
-                for &p in &said {
-                    for i in 0..N_EMITTING {
-                        for _ in 0..rng.random_range(1..4) {
-                            rows.push((p, i));
-                        }
-                    }
-                }
-                let noise = |rng: &mut Pcg64| rng.random_range(-0.5f32..0.5);
-                let audio = Array2::from_shape_fn((rows.len(), 3), |(t, d)| {
-                    let (p, i) = rows[t];
-                    [p as f32 * 2.0, i as f32, (p * i) as f32][d] + noise(&mut rng)
-                });
-                let visual = Array2::from_shape_fn((rows.len(), 2), |(t, d)| {
-                    let (p, i) = rows[t];
-                    [p as f32, i as f32 * 0.5][d] + noise(&mut rng)
-                });
-                let frames = rows.len();
-                let start = (0..frames)
-                    .map(|t| {
-                        let place = t * said.len() * N_EMITTING / frames;
-                        (said[place / N_EMITTING], place % N_EMITTING)
-                    })
-                    .collect();
-                Utterance {
-                    id: format!("u{n}"),
-                    audio,
-                    visual: Some(visual),
-                    network: PhoneNetwork::chain(&said),
-                    start,
-                }
-            })
-            .collect();
-        (utterances, phones)
-    }
-
-    #[test]
-    fn likelihood_never_falls() {
-        for topology in [
-            Topology::PH_HMM,
-            Topology::PH_FHMM,
-            Topology::PH_VI_FHMM,
-            Topology::PH_CHMM,
-            Topology::PH_VI_CHMM,
-        ] {
-            let (utterances, phones) = corpus();
-            let (mut parameters, audio, visual) = start(&utterances, topology, &phones);
-            // With the transition prior EM climbs the posterior; without data floors the likelihood dominates.
-            let mut last = f64::NEG_INFINITY;
-            for round in 0..8 {
-                let sums = expect(&parameters, &utterances, &|_| ());
-                assert!(sums.failed.is_empty());
-                assert!(
-                    sums.per_frame() >= last - 1e-3,
-                    "{topology:?} round {round}: {} < {last}",
-                    sums.per_frame()
-                );
-                last = sums.per_frame();
-                maximise(&mut parameters, &sums, &audio, visual.as_ref());
-            }
-        }
-    }
-
-    #[test]
-    fn shards_add_up_to_the_whole() {
-        let (utterances, phones) = corpus();
-        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
-        let whole = expect(&parameters, &utterances, &|_| ());
-        let mut parts = expect(&parameters, &utterances[..8], &|_| ());
-        parts.merge(expect(&parameters, &utterances[8..], &|_| ()));
-        assert!((whole.log_likelihood - parts.log_likelihood).abs() < 1e-9 * whole.log_likelihood.abs());
-        assert!(
-            (&whole.transition - &parts.transition)
-                .iter()
-                .all(|d| d.abs() < 1e-9)
-        );
-        assert!(
-            (&whole.audio.first - &parts.audio.first)
-                .iter()
-                .all(|d| d.abs() < 1e-7)
-        );
-    }
-
-    #[test]
-    fn the_number_of_threads_changes_nothing() {
-        let (utterances, phones) = corpus();
-        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
-        let run = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .unwrap();
-            pool.install(|| expect(&parameters, &utterances, &|_| ()))
-        };
-        let (one, three) = (run(1), run(3));
-        assert_eq!(one.log_likelihood.to_bits(), three.log_likelihood.to_bits());
-        assert_eq!(one.audio, three.audio);
-    }
-
-    #[test]
-    fn alignment_finds_the_borders() {
-        let (utterances, phones) = corpus();
-        let (mut parameters, audio, visual) = start(&utterances, Topology::PH_VI_CHMM, &phones);
-        for _ in 0..6 {
-            let sums = expect(&parameters, &utterances, &|_| ());
-            maximise(&mut parameters, &sums, &audio, visual.as_ref());
-        }
-        for (utterance, path) in utterances.iter().zip(align(&parameters, &utterances)) {
-            let path = path.unwrap();
-            assert_eq!(path.len(), utterance.audio.nrows());
-            let right = path
-                .iter()
-                .zip(utterance.audio.outer_iter())
-                .filter(|((audio, _), row)| {
-                    (*audio / N_EMITTING) as f32 * 2.0 - row[0] < 1.0
-                        && row[0] - (*audio / N_EMITTING) as f32 * 2.0 < 1.0
-                })
-                .count();
-            assert!(right * 10 >= path.len() * 9, "{right} of {}", path.len());
-        }
-    }
-
-    #[test]
-    fn an_utterance_shorter_than_its_states_is_named() {
-        let (mut utterances, phones) = corpus();
-        let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
-        utterances[3].audio = utterances[3].audio.slice(ndarray::s![..7, ..]).to_owned();
-        utterances[3].visual = utterances[3]
-            .visual
-            .as_ref()
-            .map(|v| v.slice(ndarray::s![..7, ..]).to_owned());
-        let sums = expect(&parameters, &utterances, &|_| ());
-        assert_eq!(sums.failed, ["u3"]);
-        assert!(sums.log_likelihood.is_finite());
-    }
-}
+mod tests;

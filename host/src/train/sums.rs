@@ -235,7 +235,7 @@ mod tests {
             audio: chain(10, 2, 3, 0.1),
             visual: Some(chain(5, 1, 2, 0.2)),
             transition: Array3::from_shape_fn((2, 5, 4), fill(0.3)),
-            log_likelihood: -1234.567_890_123_456_7 * seed,
+            log_likelihood: -1_234.567_890_123 * seed,
             frames: 100,
             failed: vec!["a".into()],
         }
