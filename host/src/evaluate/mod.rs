@@ -14,8 +14,9 @@ pub mod noise;
 pub mod plot;
 pub mod report;
 pub mod ridge;
-pub mod tables;
 mod write;
+pub mod systems;
+pub mod tables;
 
 use anyhow::Result;
 use ndarray::Array2;
