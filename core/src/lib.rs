@@ -9,6 +9,7 @@ pub mod fixed;
 pub mod frontend;
 pub mod hmm;
 pub mod logmath;
+pub mod mge;
 pub mod model;
 pub mod parameters;
 pub mod stream;

@@ -7,6 +7,9 @@ use super::follower::Follower;
 use super::local_linear::{Gates, History, apply};
 use crate::fixed::saturate_i16;
 use crate::logmath::LogProb;
+use crate::mge::context::{Means, project};
+use crate::mge::gates::{self, Occupancy};
+use crate::mge::memory::Memory;
 use crate::model::Model;
 use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
@@ -49,6 +52,9 @@ pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
     average: bool,
     follower: Follower<'m, TOKENS, FRAMES>,
     history: History,
+    /// Of a model with a memory.
+    means: Means,
+    memory: Memory,
     waiting: heapless::Deque<Gated, MAX_WAITING>,
     /// Frames gated, frames mapped, frames given out.
     gated: u32,
@@ -69,6 +75,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
             average: false,
             follower: Follower::new(model, LogProb::ONE, 0),
             history: History::new(),
+            means: Means::new(),
+            memory: Memory::new(),
             waiting: heapless::Deque::new(),
             gated: 0,
             mapped: 0,
@@ -98,6 +106,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
     pub fn reset(&mut self) {
         self.follower.reset();
         self.history.reset();
+        self.means.reset();
+        self.memory.reset(self.model);
         self.waiting.clear();
         self.mapped_frames.clear();
         self.before.clear();
@@ -114,6 +124,9 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
 
     /// Hops between a frame and the hop that brings its parameters out.
     pub fn delay_hops(&self) -> usize {
+        if self.model.is_recurrent() {
+            return self.model.look_ahead();
+        }
         (self.lag + DELTA_HOPS).max(self.model.look_ahead()) + usize::from(self.average)
     }
 
@@ -129,6 +142,9 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         statics: Option<&[i16; N_STATIC]>,
         observation: Option<&[i16; N_OBSERVATION]>,
     ) -> Option<ParameterFrame> {
+        if self.model.is_recurrent() {
+            return self.speak(statics);
+        }
         match statics {
             Some(statics) => self.history.push(statics),
             None => self.ended = true,
@@ -139,6 +155,57 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         self.gate();
         self.map();
         self.give()
+    }
+
+    /// One hop of a model with a memory: it hears statics only, and nothing waits but the context.
+    fn speak(&mut self, statics: Option<&[i16; N_STATIC]>) -> Option<ParameterFrame> {
+        let model = self.model;
+        match statics {
+            Some(statics) => {
+                self.history.push(statics);
+                self.means.push(model, statics);
+            }
+            None => self.ended = true,
+        }
+        let ahead = self.history.count().wrapping_sub(self.given) as usize;
+        if ahead == 0 || (ahead <= model.look_ahead() && !self.ended) {
+            return None;
+        }
+        if self.ended {
+            // The look-ahead of this frame reaches behind the end.
+            for _ in ahead..=model.look_ahead() {
+                if self.means.heard().wrapping_sub(self.given) as usize <= model.look_ahead() {
+                    self.means.push_last(model);
+                }
+            }
+        }
+        let z = project(model, &self.history, &self.means, self.given);
+        let z = z.get(..model.shape().inputs).unwrap_or(&[]);
+        let fed_back = self.memory.mouth().get(..model.shape().fed_back()).unwrap_or(&[]);
+        self.follower.follow_inputs(z, fed_back);
+        let occupancy = Occupancy::of(model, self.follower.active());
+        let audio = gates::Gates::choose(&occupancy.audio);
+        let visual = gates::Gates::choose(&occupancy.visual);
+        let values = self.memory.step(model, z, &audio, &visual);
+        self.numbered(values, viseme_weights(&occupancy.visual))
+    }
+
+    /// The next frame to be given out.
+    fn numbered(
+        &mut self,
+        values: heapless::Vec<i16, MAX_PARAMETERS>,
+        viseme_weights: [u8; N_VISEMES],
+    ) -> Option<ParameterFrame> {
+        let frame = self.given;
+        self.given = frame.wrapping_add(1);
+        Some(ParameterFrame {
+            frame,
+            sample: frame
+                .wrapping_mul(HOP_SAMPLES as u32)
+                .wrapping_add(FRAME_SAMPLES as u32 / 2),
+            values,
+            viseme_weights,
+        })
     }
 
     /// Whether the sound has ended.
@@ -191,16 +258,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         } else {
             self.mapped_frames.pop_front()?
         };
-        let frame = self.given;
-        self.given = frame.wrapping_add(1);
-        Some(ParameterFrame {
-            frame,
-            sample: frame
-                .wrapping_mul(HOP_SAMPLES as u32)
-                .wrapping_add(FRAME_SAMPLES as u32 / 2),
-            values,
-            viseme_weights,
-        })
+        self.numbered(values, viseme_weights)
     }
 
     /// Frame `given`, averaged: `mapped_frames` holds it and its successor, `before` its predecessor.

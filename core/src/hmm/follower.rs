@@ -9,9 +9,10 @@ use super::density::{Scaled, log_likelihood};
 use super::lag::{Frame, MAX_AUDIO_STATES, Window};
 use super::token::{PhonesByViseme, Scores, Token, begin, forward};
 use crate::N_OBSERVATION;
-use crate::logmath::LogProb;
-use crate::model::Model;
-use crate::model::field::{N_VISUAL_STATES, limit};
+use crate::logmath::{FRACTION_BITS, LogProb};
+use crate::mge::rows;
+use crate::model::field::{Matrix, N_VISUAL_STATES, limit};
+use crate::model::{Model, Rows};
 
 /// The state of one stream. `TOKENS` bounds the active joint states, `FRAMES` − 1 the lag.
 #[derive(Clone, Debug)]
@@ -71,13 +72,39 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
 
     /// One observation of the front end, Q7.8.
     pub fn follow(&mut self, observation: &[i16; N_OBSERVATION]) {
+        let scaled = Scaled::new(self.model, observation);
+        self.predict(0);
+        let Some(frame) = self.window.advance() else {
+            return;
+        };
+        emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
+        prune(&self.scores, self.beam, &mut frame.tokens);
+        self.scores.clear();
+        self.count = self.count.wrapping_add(1);
+    }
+
+    /// One frame of a model with a memory: log emissions U z + b of the audio states and F ŷ + f of the visual states,
+    /// z and the last mouth in Q5.10.
+    pub fn follow_inputs(&mut self, z: &[i16], mouth: &[i16]) {
+        self.predict(MARGIN);
+        let Some(frame) = self.window.advance() else {
+            return;
+        };
+        emit_inputs(self.model, z, mouth, &mut self.scores);
+        prune(&self.scores, self.beam, &mut frame.tokens);
+        self.scores.clear();
+        self.count = self.count.wrapping_add(1);
+    }
+
+    /// Moves probability along the arcs: those that bring less than the beam's width and `margin` (bits) below the best
+    /// are left out.
+    fn predict(&mut self, margin: i32) {
         let model = self.model;
-        let scaled = Scaled::new(model, observation);
         let tokens = self.window.newest();
         if tokens.is_empty() {
             begin(model, &mut self.scores);
         } else {
-            let floor = LogProb::from_q12(-self.beam.q12());
+            let floor = LogProb::from_q12(-self.beam.q12() - (margin << FRACTION_BITS));
             forward(model, &self.phones, tokens, floor, &mut self.scores);
         }
         if self.scores.states().next().is_none() {
@@ -86,15 +113,12 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
                 self.scores.put(best.state, LogProb::ONE);
             }
         }
-        let Some(frame) = self.window.advance() else {
-            return;
-        };
-        emit(model, self.acoustic_scale, &scaled, &mut self.scores, frame);
-        prune(&self.scores, self.beam, &mut frame.tokens);
-        self.scores.clear();
-        self.count = self.count.wrapping_add(1);
     }
 }
+
+/// Bits below the beam that an arc may bring before the sound of a model with a memory has been heard: its emissions
+/// are sharp, so that the best path may begin far behind.
+const MARGIN: i32 = 4;
 
 fn held_beam(beam: LogProb) -> LogProb {
     LogProb::from_q12(beam.q12().clamp(1, limit::BEAM))
@@ -127,3 +151,32 @@ fn emit<const TOKENS: usize>(
         *to = log.over(best).to_score();
     }
 }
+
+/// Adds the log emissions of a model with a memory to every score.
+fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) {
+    let audio_rows = model.rows(Matrix::AUDIO, z.len());
+    let visual_rows = model.rows(Matrix::VISUAL, model.shape().fed_back());
+    // `NEVER`: not asked for yet.
+    let mut audio_logs = [LogProb::NEVER; MAX_AUDIO_STATES];
+    let mut visual_logs = [LogProb::NEVER; N_VISUAL_STATES];
+    let evaluate = |log: &mut LogProb, rows: &Rows, state: usize, inputs: &[i16]| {
+        if log.is_never() {
+            let value = rows::row(rows, state, inputs);
+            *log = LogProb::from_q12(value.clamp(-EMISSION_LIMIT, EMISSION_LIMIT));
+        }
+        *log
+    };
+    scores.for_each(|state, score| {
+        let audio = state.audio();
+        let visual = state.visual(model.viseme(state.phone()));
+        let (Some(heard), Some(seen)) = (audio_logs.get_mut(audio), visual_logs.get_mut(visual)) else {
+            return;
+        };
+        let heard = evaluate(heard, &audio_rows, audio, z);
+        let seen = evaluate(seen, &visual_rows, visual, mouth);
+        *score = score.times(heard).times(seen);
+    });
+}
+
+/// Log emissions are held to ±2¹³ bits.
+const EMISSION_LIMIT: i32 = 1 << 25;

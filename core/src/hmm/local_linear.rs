@@ -46,14 +46,19 @@ impl History {
         self.count = self.count.wrapping_add(1);
     }
 
+    /// The statics of a frame; beyond either end of what has been pushed those of the first or the last frame.
+    #[inline]
+    pub fn at(&self, frame: i64) -> [i16; N_STATIC] {
+        let last = i64::from(self.count) - 1;
+        self.ring[frame.min(last).max(0) as usize % RING]
+    }
+
     /// x of frame `frame`, Q5.11, of which the model's first X are meaningful. Taps beyond either end of what has been
     /// pushed see the first or the last frame.
     pub fn project(&self, model: &Model, frame: u32) -> [i16; limit::INPUTS] {
         let mut stack = [0; limit::TAPS * N_STATIC];
         for (to, tap) in stack.as_chunks_mut::<N_STATIC>().0.iter_mut().zip(model.taps()) {
-            let last = i64::from(self.count) - 1;
-            let from = (i64::from(frame) + i64::from(tap)).min(last).max(0);
-            *to = self.ring[from as usize % RING];
+            *to = self.at(i64::from(frame) + i64::from(tap));
         }
         let mut x = [0; limit::INPUTS];
         for (to, row) in x.iter_mut().zip(model.projection()) {

@@ -2,7 +2,7 @@
 use super::error::{ModelError, Size};
 use super::field::{
     self, ALIGNMENT, CRC_SIZE, FORMAT_VERSION, FRONT_END_FINGERPRINT, MAGIC, N_SECTIONS, NAME_SIZE, Section,
-    Shape, entry, header, limit, settings, shape,
+    Shape, entry, header, limit, owns, settings, shape,
 };
 use super::view::{Model, is_never, is_probability, u16_at, u32_at};
 use crate::parameters::N_VISEMES;
@@ -93,19 +93,28 @@ fn sizes(bytes: &[u8]) -> Result<Shape, ModelError> {
             want: shape::SIZE,
         });
     }
-    let size = |size: Size, at: usize, limit: usize| {
+    let size = |size: Size, at: usize, least: usize, limit: usize| {
         let have = usize::from(u16_at(bytes, at));
-        if have == 0 || have > limit {
+        if have < least || have > limit {
             return Err(ModelError::Shape { size, have, limit });
         }
         Ok(have)
     };
+    let memory = size(Size::Memory, shape::MEMORY, 0, limit::MEMORY)?;
+    // A model has densities or a memory.
+    let (least, densities, means, owns) = match memory {
+        0 => (1, limit::DENSITIES, 0, 0),
+        _ => (0, 0, limit::MEANS, owns::ALL),
+    };
     Ok(Shape {
-        phones: size(Size::Phones, shape::PHONES, limit::PHONES)?,
-        densities: size(Size::Densities, shape::DENSITIES, limit::DENSITIES)?,
-        taps: size(Size::Taps, shape::TAPS, limit::TAPS)?,
-        inputs: size(Size::Inputs, shape::INPUTS, limit::INPUTS)?,
-        parameters: size(Size::Parameters, shape::PARAMETERS, limit::PARAMETERS)?,
+        phones: size(Size::Phones, shape::PHONES, 1, limit::PHONES)?,
+        densities: size(Size::Densities, shape::DENSITIES, least, densities)?,
+        taps: size(Size::Taps, shape::TAPS, 1, limit::TAPS)?,
+        inputs: size(Size::Inputs, shape::INPUTS, 1, limit::INPUTS)?,
+        parameters: size(Size::Parameters, shape::PARAMETERS, 1, limit::PARAMETERS)?,
+        memory,
+        means: size(Size::Means, shape::MEANS, 0, means)?,
+        owns: size(Size::Owns, shape::OWNS, 0, usize::from(owns))? as u16,
     })
 }
 
@@ -156,6 +165,19 @@ pub(super) fn values(model: &Model) -> Result<(), ModelError> {
     )?;
     for section in [ProjectionShift, GlobalShift] {
         all(section, model.section(section).iter().map(|s| *s <= limit::SHIFT))?;
+    }
+    all(
+        MeanShifts,
+        model
+            .section(MeanShifts)
+            .iter()
+            .map(|s| (1..=limit::MEAN_SHIFT).contains(s)),
+    )?;
+    for section in [InputBias, AudioBias, VisualBias, OutputBias] {
+        all(
+            section,
+            i32s(model.section(section)).map(|v| (-limit::OFFSET..=limit::OFFSET).contains(&v)),
+        )?;
     }
     for section in [ProjectionOffset, GlobalBias] {
         all(

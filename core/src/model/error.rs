@@ -11,6 +11,10 @@ pub enum Size {
     Taps,
     Inputs,
     Parameters,
+    Memory,
+    Means,
+    /// Bits of [`super::field::owns`].
+    Owns,
 }
 
 /// Why bytes are no model that this core can run.
@@ -38,7 +42,7 @@ pub enum ModelError {
         have: usize,
         want: usize,
     },
-    /// A size is zero or larger than the core's buffers.
+    /// A size is too small or larger than the core's buffers.
     Shape { size: Size, have: usize, limit: usize },
     /// A number in a section is out of its range.
     Value { section: Section, index: usize },
@@ -78,7 +82,7 @@ impl fmt::Display for ModelError {
                 write!(f, "model section {section:?} has {have} bytes, expected {want}")
             }
             Self::Shape { size, have, limit } => {
-                write!(f, "model size {size:?} is {have}, allowed are 1 to {limit}")
+                write!(f, "model size {size:?} is {have}, allowed are at most {limit}")
             }
             Self::Value { section, index } => {
                 write!(f, "model section {section:?} is out of range at number {index}")

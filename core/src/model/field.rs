@@ -1,4 +1,4 @@
-//! Layout of the model's tables (format version 1). Every offset and every length is here and only here.
+//! Layout of the model's tables (format version 2). Every offset and every length is here and only here.
 //!
 //! ```text
 //! header             32 bytes
@@ -14,7 +14,7 @@ use crate::{N_OBSERVATION, N_STATIC};
 /// First bytes of every model.
 pub const MAGIC: [u8; 8] = *b"lipstrm\0";
 /// Version of this layout; any other is refused.
-pub const FORMAT_VERSION: u16 = 1;
+pub const FORMAT_VERSION: u16 = 2;
 /// The front end that the tables were trained for. Raised whenever its numbers change.
 pub const FRONT_END_FINGERPRINT: u32 = 0x4850_0001;
 
@@ -54,7 +54,8 @@ pub const CRC_SIZE: usize = 4;
 /// Sections start at multiples of this.
 pub const ALIGNMENT: usize = 4;
 
-/// The sections, by tag.
+/// The sections, by tag. Every model has all of them; those of the other kind of model are empty: a model with a memory
+/// (H > 0, see [`crate::mge`]) has no densities and no local linear maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub enum Section {
@@ -106,7 +107,96 @@ pub enum Section {
     StateBias = 22,
     /// f32 `[D]`: real units of one parameter LSB. Carried for the host, never computed with here.
     ParameterScale = 23,
+    /// u8 `[M]`: rates of the context's exponential means, as right shifts.
+    MeanShifts = 24,
+    /// V: i8 `[Z][13(T + M)]`; i32 `[Z]`; i32 `[Z]`, Q5.10. See [`Matrix`] for all that follow.
+    InputWeights = 25,
+    InputScale = 26,
+    InputBias = 27,
+    /// U: i8 `[5P][Z]`; i32; i32 `[5P]`, log2, LSB 2⁻¹² bit.
+    AudioWeights = 28,
+    AudioScale = 29,
+    AudioBias = 30,
+    /// F: i8 `[65][D]`; i32; i32 `[65]`, log2, LSB 2⁻¹² bit.
+    VisualWeights = 31,
+    VisualScale = 32,
+    VisualBias = 33,
+    /// V_d: i8 `[H][Z]`; i32; no bias.
+    DriveWeights = 34,
+    DriveScale = 35,
+    /// W₀: i8 `[D][Z]`; i32; i32 `[D]`, Q10.
+    OutputWeights = 36,
+    OutputScale = 37,
+    OutputBias = 38,
+    /// O: i8 `[D][H]`; i32; no bias.
+    MemoryWeights = 39,
+    MemoryScale = 40,
+    /// Per audio state: i8 gains `[H]`, drives `[H]` and offsets `[D]` if the audio states have maps; u8 rates `[H]` if
+    /// they have rates.
+    AudioGates = 41,
+    /// i32 `[5P][3]`: scales of gains, drives, offsets, LSB 2⁻²⁴.
+    AudioGateScale = 42,
+    /// The same of the visual states.
+    VisualGates = 43,
+    VisualGateScale = 44,
+    /// i16 `[H]`, Q5.10: the memory before the first frame.
+    FirstMemory = 45,
 }
+
+/// A matrix of i8 weights with a scale a row and perhaps a bias: row r of the product with u is
+/// bias_r + (scale_r·Σ weight·u) / 2²⁴.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Matrix {
+    pub weights: Section,
+    pub scale: Section,
+    pub bias: Option<Section>,
+}
+
+impl Matrix {
+    pub const INPUT: Self = Self {
+        weights: Section::InputWeights,
+        scale: Section::InputScale,
+        bias: Some(Section::InputBias),
+    };
+    pub const AUDIO: Self = Self {
+        weights: Section::AudioWeights,
+        scale: Section::AudioScale,
+        bias: Some(Section::AudioBias),
+    };
+    pub const VISUAL: Self = Self {
+        weights: Section::VisualWeights,
+        scale: Section::VisualScale,
+        bias: Some(Section::VisualBias),
+    };
+    pub const DRIVE: Self = Self {
+        weights: Section::DriveWeights,
+        scale: Section::DriveScale,
+        bias: None,
+    };
+    pub const OUTPUT: Self = Self {
+        weights: Section::OutputWeights,
+        scale: Section::OutputScale,
+        bias: Some(Section::OutputBias),
+    };
+    pub const MEMORY: Self = Self {
+        weights: Section::MemoryWeights,
+        scale: Section::MemoryScale,
+        bias: None,
+    };
+    pub const ALL: [Self; 6] = [
+        Self::INPUT,
+        Self::AUDIO,
+        Self::VISUAL,
+        Self::DRIVE,
+        Self::OUTPUT,
+        Self::MEMORY,
+    ];
+}
+
+/// Fraction bits of a matrix row's scale.
+pub const SCALE_FRACTION_BITS: u32 = 24;
+/// Fraction bits of z, of the memory that the output reads, and of the mouth: parameters come in 1/1024.
+pub const SIGNAL_FRACTION_BITS: u32 = 10;
 
 impl Section {
     pub const ALL: [Section; N_SECTIONS] = [
@@ -134,26 +224,63 @@ impl Section {
         Section::StateScale,
         Section::StateBias,
         Section::ParameterScale,
+        Section::MeanShifts,
+        Section::InputWeights,
+        Section::InputScale,
+        Section::InputBias,
+        Section::AudioWeights,
+        Section::AudioScale,
+        Section::AudioBias,
+        Section::VisualWeights,
+        Section::VisualScale,
+        Section::VisualBias,
+        Section::DriveWeights,
+        Section::DriveScale,
+        Section::OutputWeights,
+        Section::OutputScale,
+        Section::OutputBias,
+        Section::MemoryWeights,
+        Section::MemoryScale,
+        Section::AudioGates,
+        Section::AudioGateScale,
+        Section::VisualGates,
+        Section::VisualGateScale,
+        Section::FirstMemory,
     ];
 }
 
-pub const N_SECTIONS: usize = 24;
+pub const N_SECTIONS: usize = 46;
 
 /// Offsets in [`Section::Shape`], all u16.
 pub mod shape {
     /// P
     pub const PHONES: usize = 0;
-    /// K, densities of a mixture
+    /// K, densities of a mixture; 0 in a model with a memory
     pub const DENSITIES: usize = 2;
     /// T, context taps
     pub const TAPS: usize = 4;
-    /// X, numbers that the maps read
+    /// X (local linear) or Z (with a memory), numbers that the maps read
     pub const INPUTS: usize = 6;
     /// D
     pub const PARAMETERS: usize = 8;
-    /// zero
-    pub const RESERVED: usize = 10;
-    pub const SIZE: usize = 12;
+    /// H, numbers in the memory; 0 in a local linear model
+    pub const MEMORY: usize = 10;
+    /// M, exponential means of the context
+    pub const MEANS: usize = 12;
+    /// Which states own what, see [`super::owns`].
+    pub const OWNS: usize = 14;
+    pub const SIZE: usize = 16;
+}
+
+/// Bits of [`shape::OWNS`].
+pub mod owns {
+    pub const AUDIO_MAPS: u16 = 1;
+    pub const AUDIO_RATES: u16 = 2;
+    pub const VISUAL_MAPS: u16 = 4;
+    pub const VISUAL_RATES: u16 = 8;
+    /// The last mouth feeds back into the visual emissions.
+    pub const FEEDBACK: u16 = 16;
+    pub const ALL: u16 = 31;
 }
 
 /// Offsets in [`Section::Settings`].
@@ -192,6 +319,10 @@ pub mod limit {
     pub const TAPS: usize = 32;
     pub const INPUTS: usize = 96;
     pub const PARAMETERS: usize = crate::parameters::MAX_PARAMETERS;
+    pub const MEMORY: usize = 192;
+    pub const MEANS: usize = 6;
+    /// Slowest exponential mean: 2⁻¹².
+    pub const MEAN_SHIFT: u8 = 12;
     /// Earliest and latest context tap, hops.
     pub const FIRST_TAP: i8 = -40;
     pub const LAST_TAP: i8 = 16;
@@ -229,10 +360,16 @@ pub struct Shape {
     pub densities: usize,
     /// T, context taps
     pub taps: usize,
-    /// X, numbers that the maps read
+    /// X (local linear) or Z (with a memory), numbers that the maps read
     pub inputs: usize,
     /// D
     pub parameters: usize,
+    /// H, numbers in the memory; 0 in a local linear model
+    pub memory: usize,
+    /// M, exponential means of the context
+    pub means: usize,
+    /// Bits of [`owns`].
+    pub owns: u16,
 }
 
 impl Shape {
@@ -244,16 +381,22 @@ impl Shape {
             taps: t,
             inputs: x,
             parameters: d,
+            memory: h,
+            means: m,
+            owns: _,
         } = *self;
         let (s, v) = (N_EMITTING * p, N_VISUAL_STATES);
+        // 1 or 0: what only a local linear model has, and what only a model with a memory has.
+        let linear = (h == 0) as usize;
+        let recurrent = 1 - linear;
         match section {
             Section::Shape => shape::SIZE,
             Section::Settings => settings::SIZE,
             Section::PhoneVisemes => p,
             Section::PhoneNames => NAME_SIZE * p,
             Section::StartMean => 2 * N_STATIC,
-            Section::ObservationCentre => 2 * N_OBSERVATION,
-            Section::ObservationGain => 4 * N_OBSERVATION,
+            Section::ObservationCentre => 2 * N_OBSERVATION * linear,
+            Section::ObservationGain => 4 * N_OBSERVATION * linear,
             Section::Densities => s * k * DENSITY_SIZE,
             Section::DensityConstants => 4 * s * k,
             Section::Transitions => 2 * p * N_CLASSES * 4,
@@ -261,17 +404,64 @@ impl Shape {
             Section::VisemeBigram => 2 * p * N_VISEMES,
             Section::Initial => 2 * p,
             Section::Taps => t,
-            Section::Projection => 2 * x * t * N_STATIC,
-            Section::ProjectionShift => x,
-            Section::ProjectionOffset => 4 * x,
-            Section::GlobalMap => 2 * d * x,
-            Section::GlobalShift => d,
-            Section::GlobalBias => 4 * d,
-            Section::StateMaps => v * d * x,
-            Section::StateScale => 2 * v * d,
-            Section::StateBias => 2 * v * d,
+            Section::Projection => 2 * x * t * N_STATIC * linear,
+            Section::ProjectionShift => x * linear,
+            Section::ProjectionOffset => 4 * x * linear,
+            Section::GlobalMap => 2 * d * x * linear,
+            Section::GlobalShift => d * linear,
+            Section::GlobalBias => 4 * d * linear,
+            Section::StateMaps => v * d * x * linear,
+            Section::StateScale => 2 * v * d * linear,
+            Section::StateBias => 2 * v * d * linear,
             Section::ParameterScale => 4 * d,
+            Section::MeanShifts => m,
+            Section::InputWeights => x * self.context() * recurrent,
+            Section::InputScale | Section::InputBias => 4 * x * recurrent,
+            Section::AudioWeights => s * x * recurrent,
+            Section::AudioScale | Section::AudioBias => 4 * s * recurrent,
+            Section::VisualWeights => v * self.fed_back(),
+            Section::VisualScale | Section::VisualBias => 4 * v * recurrent,
+            Section::DriveWeights => h * x,
+            Section::DriveScale => 4 * h,
+            Section::OutputWeights => d * x * recurrent,
+            Section::OutputScale | Section::OutputBias => 4 * d * recurrent,
+            Section::MemoryWeights => d * h,
+            Section::MemoryScale => 4 * d * recurrent,
+            Section::AudioGates => s * self.gate(owns::AUDIO_MAPS, owns::AUDIO_RATES),
+            Section::AudioGateScale => 12 * s * recurrent,
+            Section::VisualGates => v * self.gate(owns::VISUAL_MAPS, owns::VISUAL_RATES),
+            Section::VisualGateScale => 12 * v * recurrent,
+            Section::FirstMemory => 2 * h,
         }
+    }
+
+    /// Numbers in a context: 13(T + M).
+    pub const fn context(&self) -> usize {
+        N_STATIC * (self.taps + self.means)
+    }
+
+    /// Whether the states of a chain own what `bit` of [`owns`] says.
+    pub const fn owns(&self, bit: u16) -> bool {
+        self.owns & bit != 0
+    }
+
+    /// Numbers that feed back into the visual emissions.
+    pub const fn fed_back(&self) -> usize {
+        if self.owns(owns::FEEDBACK) {
+            self.parameters
+        } else {
+            0
+        }
+    }
+
+    /// Bytes of one state's gate.
+    pub const fn gate(&self, maps: u16, rates: u16) -> usize {
+        let of_maps = if self.owns(maps) {
+            2 * self.memory + self.parameters
+        } else {
+            0
+        };
+        of_maps + if self.owns(rates) { self.memory } else { 0 }
     }
 }
 

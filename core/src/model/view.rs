@@ -1,7 +1,7 @@
 //! The checked view of a model's bytes.
 use super::check;
 use super::error::ModelError;
-use super::field::{self, NAME_SIZE, Section, Shape, header, settings};
+use super::field::{self, Matrix, NAME_SIZE, Section, Shape, header, owns, settings};
 use crate::hmm::transition::{N_CHOICES, N_CLASSES};
 use crate::logmath::{LogProb, NEVER_I16};
 use crate::parameters::N_VISEMES;
@@ -299,6 +299,80 @@ impl<'a> Model<'a> {
             .map(|((weights, scale), bias)| StateRow { weights, scale, bias })
     }
 
+    /// Whether the model has a memory (see [`crate::mge`]); else it speaks by local linear maps.
+    #[inline]
+    pub fn is_recurrent(&self) -> bool {
+        self.shape.memory > 0
+    }
+
+    /// Rates of the context's exponential means, as right shifts 1..=12.
+    #[inline]
+    pub fn mean_shifts(&self) -> &'a [u8] {
+        self.section(Section::MeanShifts)
+    }
+
+    /// One of the matrices of a model with a memory, `columns` wide.
+    #[inline]
+    pub fn rows(&self, matrix: Matrix, columns: usize) -> Rows<'a> {
+        Rows {
+            weights: self.section(matrix.weights),
+            columns,
+            scale: self.section(matrix.scale).as_chunks().0,
+            bias: matrix.bias.map_or(&[], |bias| self.section(bias).as_chunks().0),
+        }
+    }
+
+    /// What audio state 5·phone + i brings to the memory and to the mouth.
+    #[inline]
+    pub fn audio_gate(&self, state: usize) -> Gate<'a> {
+        self.gate(
+            [Section::AudioGates, Section::AudioGateScale],
+            [owns::AUDIO_MAPS, owns::AUDIO_RATES],
+            state,
+        )
+    }
+
+    /// What visual state 5·viseme + j brings to the memory and to the mouth.
+    #[inline]
+    pub fn visual_gate(&self, state: usize) -> Gate<'a> {
+        self.gate(
+            [Section::VisualGates, Section::VisualGateScale],
+            [owns::VISUAL_MAPS, owns::VISUAL_RATES],
+            state,
+        )
+    }
+
+    fn gate(&self, [tables, scales]: [Section; 2], [maps, rates]: [u16; 2], state: usize) -> Gate<'a> {
+        let Shape {
+            memory: h,
+            parameters: d,
+            ..
+        } = self.shape;
+        let size = self.shape.gate(maps, rates);
+        let bytes = self
+            .section(tables)
+            .get(state * size..(state + 1) * size)
+            .unwrap_or(&[]);
+        let (h_maps, d_maps) = if self.shape.owns(maps) { (h, d) } else { (0, 0) };
+        let (gain, rest) = bytes.split_at_checked(h_maps).unwrap_or((&[], &[]));
+        let (drive, rest) = rest.split_at_checked(h_maps).unwrap_or((&[], &[]));
+        let (offset, rate) = rest.split_at_checked(d_maps).unwrap_or((&[], &[]));
+        let scale = self.section(scales).as_chunks::<4>().0.as_chunks::<3>().0;
+        Gate {
+            gain,
+            drive,
+            offset,
+            rate,
+            scale: scale.get(state).map_or([0; 3], |s| s.map(i32::from_le_bytes)),
+        }
+    }
+
+    /// The memory before the first frame, Q5.10 `[H]`.
+    #[inline]
+    pub fn first_memory(&self) -> I16s<'a> {
+        self.i16s(Section::FirstMemory)
+    }
+
     /// Real units of one LSB of each parameter, for the host: never computed with here.
     pub fn parameter_scales(&self) -> impl ExactSizeIterator<Item = f32> + 'a {
         self.section(Section::ParameterScale)
@@ -332,6 +406,65 @@ impl<'a> Model<'a> {
     pub fn distance_gain(&self) -> u32 {
         u32_at(self.section(Section::Settings), settings::DISTANCE_GAIN)
     }
+}
+
+/// A matrix of i8 weights, see [`Matrix`].
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// i8 two's complement, row by row.
+    pub weights: &'a [u8],
+    pub columns: usize,
+    pub(super) scale: &'a [[u8; 4]],
+    /// Empty where there is none.
+    pub(super) bias: &'a [[u8; 4]],
+}
+
+impl<'a> Rows<'a> {
+    /// Number of rows.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.scale.len()
+    }
+
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.scale.is_empty()
+    }
+
+    /// Scale of a row, LSB 2⁻²⁴.
+    #[inline]
+    pub fn scale(&self, row: usize) -> i32 {
+        self.scale.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+    }
+
+    /// Bias of a row, within ±2³⁰.
+    #[inline]
+    pub fn bias(&self, row: usize) -> i32 {
+        self.bias.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+    }
+
+    /// Weights of `n` rows from `row` on; empty beyond the end.
+    #[inline]
+    pub fn weights(&self, row: usize, n: usize) -> &'a [u8] {
+        self.weights
+            .get(row * self.columns..(row + n) * self.columns)
+            .unwrap_or(&[])
+    }
+}
+
+/// What one state brings to the memory and to the mouth. Slices are empty where the chain does not own them.
+#[derive(Clone, Copy, Debug)]
+pub struct Gate<'a> {
+    /// i8 two's complement `[H]`.
+    pub gain: &'a [u8],
+    /// i8 two's complement `[H]`.
+    pub drive: &'a [u8],
+    /// i8 two's complement `[D]`.
+    pub offset: &'a [u8],
+    /// Codes of [`crate::mge::rate`] `[H]`.
+    pub rate: &'a [u8],
+    /// Of gain, drive and offset, LSB 2⁻²⁴.
+    pub scale: [i32; 3],
 }
 
 /// One row of a matrix with i16 mantissas: (Σ weight·input >> shift) ± offset.

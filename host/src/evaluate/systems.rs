@@ -158,6 +158,9 @@ mod tests {
         assert_eq!(parse("all").unwrap().len(), SYSTEMS.len());
         assert_eq!(parse("ph-hmm, viterbi").unwrap().len(), 2);
         let error = parse("ph-hmm,gru").unwrap_err().to_string();
-        assert!(error.contains("\"gru\"") && error.contains("ph-vi-chmm"), "{error}");
+        assert!(
+            error.contains("\"gru\"") && error.contains("ph-vi-chmm"),
+            "{error}"
+        );
     }
 }
