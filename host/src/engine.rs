@@ -8,7 +8,7 @@ use lipstream_core::model::field::{MAGIC, limit};
 use lipstream_core::stream::{FRAMES, Settings, Stream};
 use ndarray::{Array2, Axis};
 
-use crate::export::{ExportSettings, export};
+use crate::export::{ExportSettings, MgeSettings, export, export_mge};
 use crate::files;
 use crate::hmm::convert::{Lag, convert};
 use crate::mge::live;
@@ -62,6 +62,10 @@ impl Engine {
         match kind {
             Kind::Fixed if is_tables => {
                 Self::fixed(bytes).with_context(|| format!("{} cannot be used", path.display()))
+            }
+            Kind::Fixed if MgeModel::is_kind(&Tensors::read(path)?) => {
+                let model = MgeModel::read(path)?;
+                Ok(Self::Fixed(export_mge(&model, &MgeSettings::default())?.bytes))
             }
             Kind::Fixed => {
                 let model = Model::read(path)?;

@@ -96,7 +96,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         candidates.extend(models::of_model(&folder, model, args.beam)?);
     }
     if let Some(trained) = &trained {
-        candidates.push(models::of_mge(&folder, trained)?);
+        candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
     for given in &args.predictions {
         candidates.push(predictions(given)?);

@@ -3,9 +3,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 
-use crate::export::{DEFAULT_BEAM_BITS, ExportSettings, export};
+use crate::export::{ExportSettings, MgeSettings, export, export_mge};
 use crate::files;
+use crate::mge::model::MgeModel;
 use crate::model::Model;
+use crate::tensors::Tensors;
 
 /// Write the device's quantised tables
 #[derive(Debug, clap::Args)]
@@ -18,9 +20,9 @@ pub(crate) struct Args {
     /// Hops that an occupancy waits for [default: the model's]
     #[arg(long)]
     lag: Option<u16>,
-    /// Width of the beam in bits
-    #[arg(long, default_value_t = DEFAULT_BEAM_BITS)]
-    beam: f64,
+    /// Width of the beam in bits [default: 24; 12 for a model of `--train mge`]
+    #[arg(long)]
+    beam: Option<f64>,
     /// Exponent on the audio likelihood [default: the model's]
     #[arg(long)]
     acoustic_scale: Option<f64>,
@@ -36,15 +38,29 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let model = Model::read(&args.model)?;
-    let own = ExportSettings::of(&model);
-    let settings = ExportSettings {
-        lag: args.lag.unwrap_or(own.lag),
-        beam_bits: args.beam,
-        acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
-        average: !args.no_average,
+    let exported = if MgeModel::is_kind(&Tensors::read(&args.model)?) {
+        if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average {
+            bail!(
+                "{} was trained on the error of its mouth: it has no lag, no acoustic scale and no average to set",
+                args.model.display()
+            );
+        }
+        let own = MgeSettings::default();
+        let settings = MgeSettings {
+            beam_bits: args.beam.unwrap_or(own.beam_bits),
+        };
+        export_mge(&MgeModel::read(&args.model)?, &settings)?
+    } else {
+        let model = Model::read(&args.model)?;
+        let own = ExportSettings::of(&model);
+        let settings = ExportSettings {
+            lag: args.lag.unwrap_or(own.lag),
+            beam_bits: args.beam.unwrap_or(own.beam_bits),
+            acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
+            average: !args.no_average,
+        };
+        export(&model, &settings)?
     };
-    let exported = export(&model, &settings)?;
     let size = exported.bytes.len();
     if let Some(flash) = args.flash
         && size > flash * 1024

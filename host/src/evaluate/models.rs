@@ -6,7 +6,7 @@ use ndarray::Array2;
 use super::candidate::{Candidate, Heard, Prediction};
 use super::ridge::RidgeMap;
 use crate::engine::{Engine, RunSettings};
-use crate::export::{ExportSettings, export};
+use crate::export::{ExportSettings, MgeSettings, export, export_mge};
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::convert::{Follower, Lag, convert_with};
 use crate::mge::live;
@@ -100,8 +100,12 @@ pub fn of_model<'a>(
     ])
 }
 
-/// A model trained on the error of its mouth, in floats, streamed frame by frame.
-pub fn of_mge<'a>(folder: &FeatureFolder, model: &'a MgeModel) -> Result<Candidate<'a>> {
+/// A model trained on the error of its mouth, streamed frame by frame: in floats, and as the device computes it.
+pub fn of_mge<'a>(
+    folder: &FeatureFolder,
+    model: &'a MgeModel,
+    beam_bits: Option<f64>,
+) -> Result<Vec<Candidate<'a>>> {
     ensure!(
         model.deviation.len() == folder.manifest.visual_size,
         "the model speaks {} mouth parameters, {} holds {}",
@@ -110,11 +114,25 @@ pub fn of_mge<'a>(folder: &FeatureFolder, model: &'a MgeModel) -> Result<Candida
         folder.manifest.visual_size
     );
     let ahead = Some(model.look_ahead_ms());
-    Ok(Candidate::new("mge, float", ahead, move |heard: &Heard| {
-        let said = live::convert(model, heard.observations.view());
-        Ok(Prediction {
-            parameters: said.parameters,
-            visemes: Some(said.visemes),
-        })
-    }))
+    let device = Engine::fixed(export_mge(model, &MgeSettings::default())?.bytes)?;
+    let with = RunSettings {
+        beam_bits,
+        ..RunSettings::default()
+    };
+    Ok(vec![
+        Candidate::new("mge, float", ahead, move |heard: &Heard| {
+            let said = live::convert(model, heard.observations.view());
+            Ok(Prediction {
+                parameters: said.parameters,
+                visemes: Some(said.visemes),
+            })
+        }),
+        Candidate::new("mge, fixed point and beam", ahead, move |heard: &Heard| {
+            let said = device.convert(&heard.samples, &with)?;
+            Ok(Prediction {
+                parameters: said.parameters,
+                visemes: Some(said.visemes),
+            })
+        }),
+    ])
 }
