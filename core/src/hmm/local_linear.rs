@@ -80,7 +80,7 @@ impl Default for History {
 
 /// Σ weightᵢ·inputᵢ
 #[inline]
-fn dot(weights: impl Iterator<Item = i16>, inputs: &[i16]) -> i64 {
+pub(crate) fn dot(weights: impl Iterator<Item = i16>, inputs: &[i16]) -> i64 {
     weights
         .zip(inputs)
         .map(|(w, u)| i64::from(w) * i64::from(*u))

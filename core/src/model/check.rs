@@ -173,7 +173,7 @@ pub(super) fn values(model: &Model) -> Result<(), ModelError> {
             .iter()
             .map(|s| (1..=limit::MEAN_SHIFT).contains(s)),
     )?;
-    for section in [InputBias, AudioBias, VisualBias, OutputBias] {
+    for section in [AudioBias, VisualBias, OutputBias] {
         all(
             section,
             i32s(model.section(section)).map(|v| (-limit::OFFSET..=limit::OFFSET).contains(&v)),

@@ -87,11 +87,11 @@ pub enum Section {
     Initial = 12,
     /// i8 `[T]`: hops relative to the frame, increasing.
     Taps = 13,
-    /// i16 `[X][13T]`, mantissas.
+    /// i16 `[X][13(T + M)]`, mantissas.
     Projection = 14,
-    /// u8 `[X]`: the sum of a row is shifted down by this to x in Q5.11.
+    /// u8 `[X]`: the sum of a row is shifted down by this to x in Q5.11, or to z in Q5.10 in a model with a memory.
     ProjectionShift = 15,
-    /// i32 `[X]`, Q5.11: then taken off.
+    /// i32 `[X]`, Q5.11 or Q5.10: then taken off.
     ProjectionOffset = 16,
     /// i16 `[D][X]`, mantissas.
     GlobalMap = 17,
@@ -109,38 +109,34 @@ pub enum Section {
     ParameterScale = 23,
     /// u8 `[M]`: rates of the context's exponential means, as right shifts.
     MeanShifts = 24,
-    /// V: i8 `[Z][13(T + M)]`; i32 `[Z]`; i32 `[Z]`, Q5.10. See [`Matrix`] for all that follow.
-    InputWeights = 25,
-    InputScale = 26,
-    InputBias = 27,
-    /// U: i8 `[5P][Z]`; i32; i32 `[5P]`, log2, LSB 2⁻¹² bit.
-    AudioWeights = 28,
-    AudioScale = 29,
-    AudioBias = 30,
+    /// U: i8 `[5P][Z]`; i32 `[5P]`; i32 `[5P]`, log2, LSB 2⁻¹² bit. See [`Matrix`] for all that follow.
+    AudioWeights = 25,
+    AudioScale = 26,
+    AudioBias = 27,
     /// F: i8 `[65][D]`; i32; i32 `[65]`, log2, LSB 2⁻¹² bit.
-    VisualWeights = 31,
-    VisualScale = 32,
-    VisualBias = 33,
+    VisualWeights = 28,
+    VisualScale = 29,
+    VisualBias = 30,
     /// V_d: i8 `[H][Z]`; i32; no bias.
-    DriveWeights = 34,
-    DriveScale = 35,
+    DriveWeights = 31,
+    DriveScale = 32,
     /// W₀: i8 `[D][Z]`; i32; i32 `[D]`, Q10.
-    OutputWeights = 36,
-    OutputScale = 37,
-    OutputBias = 38,
+    OutputWeights = 33,
+    OutputScale = 34,
+    OutputBias = 35,
     /// O: i8 `[D][H]`; i32; no bias.
-    MemoryWeights = 39,
-    MemoryScale = 40,
+    MemoryWeights = 36,
+    MemoryScale = 37,
     /// Per audio state: i8 gains `[H]`, drives `[H]` and offsets `[D]` if the audio states have maps; u8 rates `[H]` if
     /// they have rates.
-    AudioGates = 41,
+    AudioGates = 38,
     /// i32 `[5P][3]`: scales of gains, drives, offsets, LSB 2⁻²⁴.
-    AudioGateScale = 42,
+    AudioGateScale = 39,
     /// The same of the visual states.
-    VisualGates = 43,
-    VisualGateScale = 44,
+    VisualGates = 40,
+    VisualGateScale = 41,
     /// i16 `[H]`, Q5.10: the memory before the first frame.
-    FirstMemory = 45,
+    FirstMemory = 42,
 }
 
 /// A matrix of i8 weights with a scale a row and perhaps a bias: row r of the product with u is
@@ -153,11 +149,6 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    pub const INPUT: Self = Self {
-        weights: Section::InputWeights,
-        scale: Section::InputScale,
-        bias: Some(Section::InputBias),
-    };
     pub const AUDIO: Self = Self {
         weights: Section::AudioWeights,
         scale: Section::AudioScale,
@@ -183,14 +174,7 @@ impl Matrix {
         scale: Section::MemoryScale,
         bias: None,
     };
-    pub const ALL: [Self; 6] = [
-        Self::INPUT,
-        Self::AUDIO,
-        Self::VISUAL,
-        Self::DRIVE,
-        Self::OUTPUT,
-        Self::MEMORY,
-    ];
+    pub const ALL: [Self; 5] = [Self::AUDIO, Self::VISUAL, Self::DRIVE, Self::OUTPUT, Self::MEMORY];
 }
 
 /// Fraction bits of a matrix row's scale.
@@ -225,9 +209,6 @@ impl Section {
         Section::StateBias,
         Section::ParameterScale,
         Section::MeanShifts,
-        Section::InputWeights,
-        Section::InputScale,
-        Section::InputBias,
         Section::AudioWeights,
         Section::AudioScale,
         Section::AudioBias,
@@ -249,7 +230,7 @@ impl Section {
     ];
 }
 
-pub const N_SECTIONS: usize = 46;
+pub const N_SECTIONS: usize = 43;
 
 /// Offsets in [`Section::Shape`], all u16.
 pub mod shape {
@@ -404,9 +385,9 @@ impl Shape {
             Section::VisemeBigram => 2 * p * N_VISEMES,
             Section::Initial => 2 * p,
             Section::Taps => t,
-            Section::Projection => 2 * x * t * N_STATIC * linear,
-            Section::ProjectionShift => x * linear,
-            Section::ProjectionOffset => 4 * x * linear,
+            Section::Projection => 2 * x * self.context(),
+            Section::ProjectionShift => x,
+            Section::ProjectionOffset => 4 * x,
             Section::GlobalMap => 2 * d * x * linear,
             Section::GlobalShift => d * linear,
             Section::GlobalBias => 4 * d * linear,
@@ -415,8 +396,6 @@ impl Shape {
             Section::StateBias => 2 * v * d * linear,
             Section::ParameterScale => 4 * d,
             Section::MeanShifts => m,
-            Section::InputWeights => x * self.context() * recurrent,
-            Section::InputScale | Section::InputBias => 4 * x * recurrent,
             Section::AudioWeights => s * x * recurrent,
             Section::AudioScale | Section::AudioBias => 4 * s * recurrent,
             Section::VisualWeights => v * self.fed_back(),

@@ -236,7 +236,7 @@ impl<'a> Model<'a> {
             .map_or(0, |t| usize::from(t.max(0).unsigned_abs()))
     }
 
-    /// Rows of the projection: mantissas `[13T]`, shift, offset.
+    /// Rows of the projection: mantissas `[13(T + M)]`, shift, offset.
     #[inline]
     pub fn projection(&self) -> impl Iterator<Item = SumRow<'a>> + 'a {
         self.sum_rows(
@@ -245,7 +245,7 @@ impl<'a> Model<'a> {
                 Section::ProjectionShift,
                 Section::ProjectionOffset,
             ],
-            self.shape.taps * N_STATIC,
+            self.shape.context(),
         )
     }
 

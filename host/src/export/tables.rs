@@ -256,6 +256,62 @@ impl Tables {
     }
 }
 
+/// Rows of a matrix with i16 mantissas and a shift a row.
+pub(super) struct SumRows {
+    weights: Vec<u8>,
+    shifts: Vec<u8>,
+    offsets: Vec<u8>,
+    errors: Errors,
+}
+
+impl SumRows {
+    pub(super) fn new(unit: &'static str) -> Self {
+        Self {
+            weights: Vec::new(),
+            shifts: Vec::new(),
+            offsets: Vec::new(),
+            errors: Errors::new(unit),
+        }
+    }
+
+    /// One row: Σ wᵢ·uᵢ·`scale`, where uᵢ are integers, and an offset in the sum's LSB.
+    pub(super) fn push(&mut self, weights: &[f64], scale: f64, offset: f64) -> Result<()> {
+        let largest = weights.iter().fold(0f64, |m, w| m.max(w.abs())) * scale;
+        // The largest mantissa in [2¹⁴, 2¹⁵).
+        let shift = if largest > 0.0 {
+            (32767.0 / largest).log2().floor().min(f64::from(limit::SHIFT))
+        } else {
+            0.0
+        };
+        ensure!(
+            shift >= 0.0,
+            "a weight of {largest} is too large for the device's tables"
+        );
+        let up = shift.exp2();
+        for w in weights {
+            let value = w * scale * up;
+            let q = self.errors.round(value, 32767.0);
+            if largest > 0.0 {
+                self.errors.add((q - value) / (largest * up));
+            }
+            self.weights.extend((q as i16).to_le_bytes());
+        }
+        ensure!(
+            offset.abs() <= f64::from(limit::OFFSET),
+            "an offset of {offset} is too large for the device's tables"
+        );
+        self.shifts.push(shift as u8);
+        self.offsets.extend((offset.round() as i32).to_le_bytes());
+        Ok(())
+    }
+
+    pub(super) fn store(self, tables: &mut Tables, [weights, shifts, offsets]: [Section; 3]) {
+        tables.put(weights, self.weights, self.errors.report());
+        tables.put(shifts, self.shifts, None);
+        tables.put(offsets, self.offsets, None);
+    }
+}
+
 /// A natural log probability in Q5.10 log2.
 fn table_log(value: f64, errors: &mut Errors) -> i16 {
     if value <= f64::from(Mixtures::NO_WEIGHT) / 10.0 {

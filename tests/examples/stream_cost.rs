@@ -1,0 +1,116 @@
+//! Counts the instructions of a whole stream, sound to parameters, on a Cortex-M target in QEMU's mps2-an386 with
+//! `-icount shift=6,align=off,sleep=off`. Reads `model.tables` and `sound.raw` (i16 little-endian, 16 kHz) in the folder where it
+//! runs; prints lines of a name and a number.
+#![cfg_attr(target_os = "none", no_std, no_main)]
+
+/// On the host there is nothing to count.
+#[cfg(not(target_os = "none"))]
+fn main() {
+    eprintln!("stream_cost runs in QEMU: use `cargo run -p lipstream-tests --example cost -- --stream FOLDER`");
+}
+
+#[cfg(target_os = "none")]
+mod target {
+    use core::mem::MaybeUninit;
+
+    use cortex_m_rt::entry;
+    use lipstream_core::HOP_SAMPLES;
+    use lipstream_core::frontend::{Config, FrontEnd};
+    use lipstream_core::model::Model;
+    use lipstream_core::stream::{Settings, Stream};
+    use semihosting::fs::File;
+    use semihosting::io::Read;
+    use semihosting::{println, process};
+
+    /// Ticks of the board's 25 MHz counter, 40 ns. An instruction takes 64 ns.
+    fn ticks() -> u32 {
+        // SAFETY: FPGAIO's COUNTER of mps2-an386, a readable register without side effects.
+        unsafe { core::ptr::read_volatile(0x4002_8018 as *const u32) }
+    }
+
+    const MODEL_BYTES: usize = 320 * 1024;
+    static mut MODEL: [u8; MODEL_BYTES] = [0; MODEL_BYTES];
+    static mut STREAM: MaybeUninit<Stream> = MaybeUninit::uninit();
+
+    fn read_all(file: &mut File, to: &mut [u8]) -> usize {
+        let mut have = 0;
+        while have < to.len() {
+            match file.read(&mut to[have..]) {
+                Ok(0) => break,
+                Ok(n) => have += n,
+                Err(_) => fail("cannot read"),
+            }
+        }
+        have
+    }
+
+    fn fail(what: &str) -> ! {
+        println!("{what}");
+        process::exit(1)
+    }
+
+    #[entry]
+    fn main() -> ! {
+        let Ok(mut file) = File::open(c"model.tables") else {
+            fail("cannot open model.tables")
+        };
+        // SAFETY: a program of one thread without interrupts; nothing else names these statics.
+        let (bytes, place) = unsafe { (&mut *(&raw mut MODEL), &mut *(&raw mut STREAM)) };
+        let size = read_all(&mut file, bytes);
+        let Ok(model) = Model::new_checked(&bytes[..size]) else {
+            fail("model.tables is no model that this core can run")
+        };
+        let stream = place.write(Stream::new(&model, Settings::default()));
+        let mut frontend = FrontEnd::new(Config {
+            start_mean: model.start_mean(),
+            normalise: true,
+        });
+        let Ok(mut sound) = File::open(c"sound.raw") else {
+            fail("cannot open sound.raw")
+        };
+        let mut hop = [0u8; 2 * HOP_SAMPLES];
+        let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) = (0u32, 0u64, 0, 0u64, 0u64, 0);
+        while read_all(&mut sound, &mut hop) == hop.len() {
+            let samples: [i16; HOP_SAMPLES] =
+                core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]]));
+            let before = ticks();
+            let mut rest = &samples[..];
+            while !rest.is_empty() {
+                let (taken, frame) = stream.push(rest);
+                rest = &rest[taken..];
+                core::hint::black_box(frame);
+            }
+            let spent = ticks().wrapping_sub(before) * 5 / 8;
+            let before = ticks();
+            let mut rest = &samples[..];
+            while !rest.is_empty() {
+                let (taken, hop) = frontend.push(rest);
+                rest = &rest[taken..];
+                core::hint::black_box(hop);
+            }
+            of_frontend += u64::from(ticks().wrapping_sub(before) * 5 / 8);
+            hops += 1;
+            total += u64::from(spent);
+            worst = worst.max(spent);
+            active += stream.active() as u64;
+            most = most.max(stream.active());
+        }
+        if hops == 0 {
+            fail("sound.raw holds no whole hop")
+        }
+        println!("hops {}", hops);
+        println!("instructions mean {}", total / u64::from(hops));
+        println!("instructions worst {}", worst);
+        println!("instructions frontend {}", of_frontend / u64::from(hops));
+        println!("active mean {}", active / u64::from(hops));
+        println!("active most {}", most);
+        println!("bytes stream {}", size_of::<Stream>());
+        process::exit(0)
+    }
+
+    #[panic_handler]
+    fn panic(info: &core::panic::PanicInfo) -> ! {
+        println!("{info}");
+        process::exit(1)
+    }
+}
