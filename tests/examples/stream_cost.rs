@@ -6,7 +6,9 @@
 /// On the host there is nothing to count.
 #[cfg(not(target_os = "none"))]
 fn main() {
-    eprintln!("stream_cost runs in QEMU: use `cargo run -p lipstream-tests --example cost -- --stream FOLDER`");
+    eprintln!(
+        "stream_cost runs in QEMU: use `cargo run -p lipstream-tests --example cost -- --stream FOLDER`"
+    );
 }
 
 #[cfg(target_os = "none")]
@@ -69,7 +71,8 @@ mod target {
             fail("cannot open sound.raw")
         };
         let mut hop = [0u8; 2 * HOP_SAMPLES];
-        let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) = (0u32, 0u64, 0, 0u64, 0u64, 0);
+        let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) =
+            (0u32, 0u64, 0, 0u64, 0u64, 0);
         while read_all(&mut sound, &mut hop) == hop.len() {
             let samples: [i16; HOP_SAMPLES] =
                 core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]]));

@@ -7,7 +7,7 @@
 use super::beam::prune;
 use super::density::{Scaled, log_likelihood};
 use super::lag::{Frame, MAX_AUDIO_STATES, Window};
-use super::token::{PhonesByViseme, Scores, Token, begin, forward};
+use super::token::{PhonesByViseme, Scores, Token, begin, begin_anywhere, forward};
 use crate::N_OBSERVATION;
 use crate::logmath::{FRACTION_BITS, LogProb};
 use crate::mge::rows;
@@ -101,7 +101,9 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
     fn predict(&mut self, margin: i32) {
         let model = self.model;
         let tokens = self.window.newest();
-        if tokens.is_empty() {
+        if tokens.is_empty() && model.is_recurrent() {
+            begin_anywhere(model, &mut self.scores);
+        } else if tokens.is_empty() {
             begin(model, &mut self.scores);
         } else {
             let floor = LogProb::from_q12(-self.beam.q12() - (margin << FRACTION_BITS));

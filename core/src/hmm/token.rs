@@ -207,6 +207,22 @@ pub fn begin(model: &Model, scores: &mut Scores) {
     }
 }
 
+/// log2 13: a model with a memory may begin in any pair of a phone.
+const PAIRS_LOG: LogProb = LogProb::from_q12(15_157);
+
+/// Adds to `scores` what each joint state begins with in a model with a memory: it was trained on pieces of speech, and
+/// begins anywhere inside a phone.
+pub fn begin_anywhere(model: &Model, scores: &mut Scores) {
+    for (phone, initial) in model.initial().iter().enumerate() {
+        let initial = LogProb::from_table(initial).over(PAIRS_LOG);
+        if !initial.is_never() {
+            for pair in 0..N_PAIRS {
+                scores.add(JointState::new(phone, pair), initial);
+            }
+        }
+    }
+}
+
 /// Adds to `scores` what arrives in each joint state from `tokens`. An arc that brings less than `floor` is left out.
 pub fn forward(
     model: &Model,

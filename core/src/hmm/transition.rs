@@ -22,7 +22,8 @@
 //! | (p,5)×(m',1) mouth leads | itself | (p',1)×(m',1) with B(p'\|p)/V(m'\|p), vis(p') = m' | - | (p',1)×(m',2), likewise |
 //! | (p',1)×(m,5) sound leads | itself | - | (p',1)×(vis(p'),1) | (p',2)×(vis(p'),1) |
 //!
-//! An utterance begins in (p,1)×(m,1) with the initial probability of p; it may end anywhere.
+//! An utterance begins in (p,1)×(m,1) with the initial probability of p, in a model with a memory in any pair of p with a
+//! thirteenth of it; it may end anywhere.
 use crate::parameters::N_VISEMES;
 
 pub use crate::model::field::N_EMITTING;

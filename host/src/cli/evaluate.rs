@@ -3,11 +3,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::evaluate::{self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, models};
+use crate::evaluate::{
+    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, models, systems,
+};
 use crate::features::{FeatureFolder, Split};
 use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::tensors::Tensors;
+use crate::train;
 
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
@@ -17,6 +20,15 @@ pub(crate) struct Args {
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
     model: Option<PathBuf>,
+    /// Systems of the papers to measure: names separated by commas, or `all`. Those that are not in --models are trained
+    #[arg(long, value_name = "NAMES")]
+    systems: Option<String>,
+    /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// Feature folder whose sound trains the systems too; may be given many times
+    #[arg(long, value_name = "DIR", requires = "systems")]
+    audio: Vec<PathBuf>,
     /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
     #[arg(long, value_name = "NAME=FOLDER")]
     predictions: Vec<String>,
@@ -90,6 +102,33 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let settings = settings(&args, full)?;
     let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();
     let trained = trained.flatten();
+    let chosen = args
+        .systems
+        .as_deref()
+        .map(systems::parse)
+        .transpose()?
+        .unwrap_or_default();
+    let store = args.models.clone().or_else(|| {
+        let folder = destination.as_ref().filter(|d| d.is_folder());
+        folder
+            .and(args.output.as_ref())
+            .map(|output| output.join("models"))
+    });
+    let stored = match store {
+        _ if chosen.is_empty() => Vec::new(),
+        None => bail!("say with --models where the systems' models are, or write a report folder with -o"),
+        Some(store) => {
+            let heard = args
+                .audio
+                .iter()
+                .map(|path| FeatureFolder::open(path))
+                .collect::<Result<Vec<_>>>()?;
+            let training = train::Settings::default();
+            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &|line| {
+                eprintln!("{line}")
+            })?
+        }
+    };
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
@@ -98,6 +137,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if let Some(trained) = &trained {
         candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
+    candidates.extend(systems::candidates(&chosen, &stored)?);
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }
@@ -189,6 +229,9 @@ fn command(args: &Args) -> String {
     let mut words = vec!["lipstream evaluate".to_owned(), short(&args.dir)];
     if let Some(model) = &args.model {
         words.push(format!("-m {}", short(model)));
+    }
+    if let Some(systems) = &args.systems {
+        out += &format!(" --systems {systems}");
     }
     for given in &args.predictions {
         let name = given.split('=').next().unwrap_or_default();

@@ -14,9 +14,9 @@ pub mod noise;
 pub mod plot;
 pub mod report;
 pub mod ridge;
-mod write;
 pub mod systems;
 pub mod tables;
+mod write;
 
 use anyhow::Result;
 use ndarray::Array2;

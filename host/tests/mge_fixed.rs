@@ -1,0 +1,206 @@
+//! A model with a memory in the device's arithmetic, against its twin in floats: whatever states own what, whatever the
+//! sound is.
+use lipstream::export::{MgeSettings, export_mge};
+use lipstream::mge::context::Context;
+use lipstream::mge::live;
+use lipstream::mge::model::MgeModel;
+use lipstream::mge::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal};
+use lipstream::synthetic::{self, Sizes};
+use lipstream_core::hmm::converter::{Converter, Settings};
+use lipstream_core::logmath::LogProb;
+use lipstream_core::model::Model as Tables;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::Stream;
+use ndarray::Array2;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const OUTPUTS: usize = 5;
+
+/// A model of random numbers of the sizes that trained ones have.
+fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
+    let rng = &mut Pcg64::seed_from_u64(seed);
+    let twin = synthetic::model(&Sizes::small(), 2.0, rng);
+    let shape = Shape {
+        phones: twin.phones.len(),
+        context: Context::default(),
+        inputs: 22,
+        memory: 17,
+        outputs: OUTPUTS,
+        feedback,
+        maps,
+        rates,
+    };
+    let mut parameters = Parameters::zeros(&shape);
+    for group in GROUPS {
+        let (mean, deviation) = match group {
+            Group::Projection => (0.0, 0.1),
+            Group::Audio => (0.0, 1.0),
+            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
+            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
+            _ => (0.0, 0.3),
+        };
+        fill_normal(parameters.of_mut(group), mean, deviation, rng);
+    }
+    let transition = twin.transition.iter();
+    parameters
+        .of_mut(Group::Transition)
+        .iter_mut()
+        .zip(transition)
+        .for_each(|(to, from)| *to = *from);
+    MgeModel {
+        context_mean: (0..shape.context.size())
+            .map(|_| rng.random_range(-0.5f32..0.5))
+            .collect(),
+        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
+        deviation: (0..OUTPUTS).map(|d| 100.0 / (d + 1) as f32).collect(),
+        least: 1e-4,
+        provenance: "random numbers".to_owned(),
+        twin,
+        parameters,
+    }
+}
+
+/// Statics in whole LSBs of Q7.8 that wander about.
+fn statics(frames: usize, seed: u64) -> Array2<i16> {
+    let rng = &mut Pcg64::seed_from_u64(seed);
+    let mut now = [0.0f32; 13];
+    let mut out = Array2::zeros((frames, 13));
+    for mut row in out.rows_mut() {
+        for (value, to) in now.iter_mut().zip(row.iter_mut()) {
+            *value = 0.9 * *value + rng.random_range(-4.0f32..4.0);
+            *to = (*value * 256.0) as i16;
+        }
+    }
+    out
+}
+
+fn tables(model: &MgeModel) -> Vec<u8> {
+    export_mge(model, &MgeSettings::default()).unwrap().bytes
+}
+
+fn convert(tables: &[u8], statics: &Array2<i16>, settings: Settings) -> Vec<ParameterFrame> {
+    let model = Tables::new_checked(tables).unwrap();
+    let mut converter = Box::new(Converter::<384, 9>::new(&model, settings));
+    let mut out = Vec::new();
+    for row in statics.rows() {
+        let row: [i16; 13] = std::array::from_fn(|i| row[i]);
+        out.extend(converter.push(Some(&row), None));
+    }
+    while !converter.is_done() {
+        out.extend(converter.push(None, None));
+    }
+    out
+}
+
+#[test]
+fn fixed_point_follows_the_floats() {
+    for (n, (feedback, maps, rates)) in [
+        (Feedback::Output, Gate::Both, Gate::Visual),
+        (Feedback::Output, Gate::Audio, Gate::Audio),
+        (Feedback::None, Gate::Visual, Gate::Visual),
+        (Feedback::None, Gate::Both, Gate::Audio),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let model = model(feedback, maps, rates, n as u64);
+        let tables = tables(&model);
+        let heard = statics(200, 50 + n as u64);
+        let floats = live::convert(&model, heard.mapv(|v| f32::from(v) / 256.0).view());
+        let wide = Settings {
+            beam: Some(LogProb::from_q12(40 << 12)),
+            ..Settings::default()
+        };
+        let said = convert(&tables, &heard, wide);
+        assert_eq!(said.len(), 200);
+        let (mut error, mut power, mut visemes) = (0.0f64, 0.0f64, 0.0f64);
+        for (t, frame) in said.iter().enumerate() {
+            assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));
+            for d in 0..OUTPUTS {
+                let fixed = f64::from(frame.values[d]) / 1024.0;
+                let float = f64::from(floats.parameters[[t, d]] / model.deviation[d]);
+                error += (fixed - float).powi(2);
+                power += float.powi(2);
+            }
+            for (v, weight) in frame.viseme_weights.iter().enumerate() {
+                visemes += (f64::from(*weight) / 255.0 - f64::from(floats.visemes[[t, v]])).powi(2);
+            }
+        }
+        let (relative, visemes) = ((error / power).sqrt(), (visemes / said.len() as f64).sqrt());
+        println!("{feedback:?} {maps:?} {rates:?}: {relative:.4} of the mouth, visemes {visemes:.4}");
+        assert!(relative < 0.03, "{feedback:?} {maps:?} {rates:?}: {relative}");
+        assert!(visemes < 0.05, "{feedback:?} {maps:?} {rates:?}: {visemes}");
+    }
+}
+
+#[test]
+fn short_sounds_end_as_in_floats() {
+    let model = model(Feedback::Output, Gate::Both, Gate::Visual, 7);
+    let tables = tables(&model);
+    for frames in [1, 2, 5, 8, 9, 10, 30] {
+        let heard = statics(frames, 3);
+        let floats = live::convert(&model, heard.mapv(|v| f32::from(v) / 256.0).view());
+        let said = convert(&tables, &heard, Settings::default());
+        assert_eq!(said.len(), frames);
+        for (t, frame) in said.iter().enumerate() {
+            for d in 0..OUTPUTS {
+                let fixed = f32::from(frame.values[d]) / 1024.0;
+                let float = floats.parameters[[t, d]] / model.deviation[d];
+                assert!(
+                    (fixed - float).abs() < 0.15,
+                    "{frames} frames, frame {t}: {fixed} against {float}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn a_stream_does_not_depend_on_its_cuts_and_begins_anew_after_its_end() {
+    let model = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
+    let tables = tables(&model);
+    let tables = Tables::new_checked(&tables).unwrap();
+    let rng = &mut Pcg64::seed_from_u64(2);
+    let sounds: [Vec<i16>; 5] = [
+        (0..16000).map(|_| rng.random_range(-3000..3000)).collect(),
+        vec![0; 8000],
+        vec![32767; 8000],
+        (0..8000)
+            .map(|n| if n / 40 % 2 == 0 { 32767 } else { -32768 })
+            .collect(),
+        (0..16000)
+            .map(|n| {
+                if n < 8000 {
+                    0
+                } else {
+                    rng.random_range(-30000..30000)
+                }
+            })
+            .collect(),
+    ];
+    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    for sound in &sounds {
+        let mut whole: Option<Vec<ParameterFrame>> = None;
+        for cut in [1, 7, 160, 4096] {
+            let mut said = Vec::new();
+            for piece in sound.chunks(cut) {
+                let mut rest = piece;
+                while !rest.is_empty() {
+                    let (taken, frame) = stream.push(rest);
+                    rest = &rest[taken..];
+                    said.extend(frame);
+                }
+            }
+            while let Some(frame) = stream.finish() {
+                said.push(frame);
+            }
+            assert_eq!(said.len(), (sound.len() - 400) / 160 + 1);
+            match &whole {
+                Some(whole) => assert!(*whole == said, "cut every {cut} samples"),
+                None => whole = Some(said),
+            }
+        }
+    }
+    assert_eq!(stream.delay_samples(), 8 * 160 + 200);
+}
