@@ -36,6 +36,8 @@ fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
         let (mean, deviation) = match group {
             Group::Projection => (0.0, 0.1),
             Group::Audio => (0.0, 1.0),
+            // Few states at the beginning: the device lets six of each chain speak.
+            Group::Initial => (0.0, 8.0),
             Group::AudioGain | Group::VisualGain => (0.5, 0.5),
             Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
             _ => (0.0, 0.3),

@@ -230,9 +230,6 @@ fn command(args: &Args) -> String {
     if let Some(model) = &args.model {
         words.push(format!("-m {}", short(model)));
     }
-    if let Some(systems) = &args.systems {
-        out += &format!(" --systems {systems}");
-    }
     for given in &args.predictions {
         let name = given.split('=').next().unwrap_or_default();
         words.push(format!("--predictions {}=…", quoted(name)));
