@@ -32,6 +32,7 @@ mod target {
 
     const MODEL_BYTES: usize = 320 * 1024;
     static mut MODEL: [u8; MODEL_BYTES] = [0; MODEL_BYTES];
+    static mut VIEW: MaybeUninit<Model> = MaybeUninit::uninit();
     static mut STREAM: MaybeUninit<Stream> = MaybeUninit::uninit();
 
     fn read_all(file: &mut File, to: &mut [u8]) -> usize {
@@ -57,12 +58,19 @@ mod target {
             fail("cannot open model.tables")
         };
         // SAFETY: a program of one thread without interrupts; nothing else names these statics.
-        let (bytes, place) = unsafe { (&mut *(&raw mut MODEL), &mut *(&raw mut STREAM)) };
+        let (bytes, view, place) = unsafe {
+            (
+                &mut *(&raw mut MODEL),
+                &mut *(&raw mut VIEW),
+                &mut *(&raw mut STREAM),
+            )
+        };
         let size = read_all(&mut file, bytes);
         let Ok(model) = Model::new_checked(&bytes[..size]) else {
             fail("model.tables is no model that this core can run")
         };
-        let stream = place.write(Stream::new(&model, Settings::default()));
+        let model: &Model = view.write(model);
+        let stream = place.write(Stream::new(model, Settings::default()));
         let mut frontend = FrontEnd::new(Config {
             start_mean: model.start_mean(),
             normalise: true,
