@@ -118,7 +118,7 @@ impl Tiny {
         (phone, class)
     }
 
-    /// Calls `path(probability, [(audio state, visual state)])` for every path of `frames` frames over the phone loop.
+    /// Calls `path` with the probability and the states of every path of `frames` frames over the phone loop.
     fn every_path(&self, frames: usize, path: &mut Visit<'_>) {
         for (p, log) in self.initial.iter().enumerate() {
             let mut said = vec![p];
