@@ -206,7 +206,9 @@ impl Model {
 
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
-        let kind: String = tensors.noted("kind")?;
+        let kind: String = tensors
+            .noted("kind")
+            .with_context(|| format!("{} is no usable model", path.display()))?;
         if kind != KIND {
             bail!(
                 "{} holds a model of the kind {kind:?}; this needs {KIND:?}",

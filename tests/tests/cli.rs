@@ -7,8 +7,8 @@ use common::program::{refuse, run, succeed};
 use lipstream_core::model::Model;
 use lipstream_core::stream::Settings;
 
-const COMMANDS: [&str; 9] = [
-    "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "render", "train",
+const COMMANDS: [&str; 10] = [
+    "align", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "render", "train",
 ];
 
 fn path(path: &Path) -> String {

@@ -8,6 +8,7 @@ use ndarray::{Array1, Array3};
 
 use super::Shifts;
 use crate::hmm::topology::Topology;
+use crate::mge::model::MgeModel;
 use crate::model::{Mixtures, Model, N_EMITTING, choice};
 use crate::phones::Phone;
 use crate::tensors::{Tensors, TensorsBuilder};
@@ -72,9 +73,12 @@ impl AudioHmm {
         })
     }
 
-    /// Reads either kind of file.
+    /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained twin.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
+        if MgeModel::is_kind(&tensors) {
+            return Self::of_model(&MgeModel::read(path)?.twin);
+        }
         if tensors.noted::<String>("kind")? != KIND {
             return Self::of_model(&Model::read(path)?);
         }
