@@ -18,7 +18,13 @@ mod target {
     use cortex_m_rt::entry;
     use lipstream_core::HOP_SAMPLES;
     use lipstream_core::frontend::{Config, FrontEnd};
+    use lipstream_core::hmm::local_linear::History;
+    use lipstream_core::mge::context::{Means, project};
+    use lipstream_core::mge::gates::Gates;
+    use lipstream_core::mge::memory::Memory;
+    use lipstream_core::mge::rows;
     use lipstream_core::model::Model;
+    use lipstream_core::model::field::{Matrix, limit};
     use lipstream_core::stream::{Settings, Stream};
     use semihosting::fs::File;
     use semihosting::io::Read;
@@ -52,6 +58,43 @@ mod target {
         process::exit(1)
     }
 
+    /// What one frame of a model with a memory costs beside the front end and the tokens.
+    fn stages(model: &Model) {
+        let mut history = History::new();
+        let mut means = Means::new();
+        let statics = [100, -200, 300, 50, -70, 90, 30, -10, 20, 5, -400, 60, 700];
+        for _ in 0..20 {
+            history.push(&statics);
+            means.push(model, &statics);
+        }
+        let count = |name: &str, work: &mut dyn FnMut()| {
+            let before = ticks();
+            work();
+            println!("instructions {} {}", name, ticks().wrapping_sub(before) * 5 / 8);
+        };
+        let mut z = [0; limit::INPUTS];
+        count("context", &mut || z = project(model, &history, &means, 10));
+        let z = &z[..model.shape().inputs];
+        let mut occupancy = [0; 235];
+        (occupancy[7], occupancy[8], occupancy[30]) = (40_000, 20_000, 5_000);
+        let mut audio = Gates::default();
+        count("gates", &mut || audio = Gates::choose(&occupancy));
+        let visual = Gates::choose(&occupancy[..60]);
+        let mut memory = Memory::new();
+        memory.reset(model);
+        count("memory", &mut || {
+            core::hint::black_box(memory.step(model, z, &audio, &visual));
+        });
+        let mut out = [0; 64];
+        count("drive", &mut || {
+            rows::product(&model.rows(Matrix::DRIVE, z.len()), z, |i, v| out[i & 63] = v);
+        });
+        core::hint::black_box(out);
+        count("audio_state", &mut || {
+            core::hint::black_box(rows::row(&model.rows(Matrix::AUDIO, z.len()), 8, z));
+        });
+    }
+
     #[entry]
     fn main() -> ! {
         let Ok(mut file) = File::open(c"model.tables") else {
@@ -78,6 +121,9 @@ mod target {
         let Ok(mut sound) = File::open(c"sound.raw") else {
             fail("cannot open sound.raw")
         };
+        if model.is_recurrent() {
+            stages(model);
+        }
         let mut hop = [0u8; 2 * HOP_SAMPLES];
         let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) =
             (0u32, 0u64, 0, 0u64, 0u64, 0);

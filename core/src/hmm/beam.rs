@@ -17,18 +17,25 @@ fn bin(best: LogProb, score: LogProb) -> usize {
     ((best.q12().saturating_sub(score.q12()) >> BIN_BITS) as usize).min(N_BINS - 1)
 }
 
-/// The joint states of `scores` within `width` of the best, at most `N` of them, as tokens relative to the best.
-pub fn prune<const N: usize>(scores: &Scores, width: LogProb, tokens: &mut heapless::Vec<Token, N>) {
+/// The joint states of `scores` within `width` of the best, at most `most` (and `N`) of them, as tokens relative to the
+/// best.
+pub fn prune<const N: usize>(
+    scores: &Scores,
+    width: LogProb,
+    most: usize,
+    tokens: &mut heapless::Vec<Token, N>,
+) {
+    let most = most.clamp(1, N);
     tokens.clear();
     let Some(best) = scores.states().map(|s| scores.get(s)).max() else {
         return;
     };
     let floor = LogProb::from_q12(best.q12().saturating_sub(width.q12())).max(LogProb::FLOOR);
     let within = scores.states().filter(|s| scores.get(*s) >= floor).count();
-    let (last_bin, mut room) = if within <= N {
+    let (last_bin, mut room) = if within <= most {
         (N_BINS, 0)
     } else {
-        last_bin::<N>(scores, best, floor)
+        last_bin(scores, best, floor, most)
     };
     for state in scores.states() {
         let score = scores.get(state);
@@ -45,7 +52,7 @@ pub fn prune<const N: usize>(scores: &Scores, width: LogProb, tokens: &mut heapl
             }
             room -= 1;
         }
-        // There is room: at most N are let through.
+        // There is room: at most `most` are let through.
         let _ = tokens.push(relative(state, best, score));
     }
 }
@@ -59,7 +66,7 @@ fn relative(state: JointState, best: LogProb, score: LogProb) -> Token {
 }
 
 /// The bin that does not fit as a whole, and how many of it do.
-fn last_bin<const N: usize>(scores: &Scores, best: LogProb, floor: LogProb) -> (usize, usize) {
+fn last_bin(scores: &Scores, best: LogProb, floor: LogProb, most: usize) -> (usize, usize) {
     let mut counts = [0u16; N_BINS];
     for state in scores.states() {
         let score = scores.get(state);
@@ -69,7 +76,7 @@ fn last_bin<const N: usize>(scores: &Scores, best: LogProb, floor: LogProb) -> (
             *count += 1;
         }
     }
-    let mut room = N;
+    let mut room = most;
     for (bin, count) in counts.iter().enumerate() {
         let count = usize::from(*count);
         if count > room {
@@ -96,7 +103,7 @@ mod tests {
     fn keeps_what_is_within_the_beam() {
         let scores = scores([(3, -5 << 12), (700, -1 << 12), (701, -9 << 12), (1871, -2 << 12)]);
         let mut tokens = heapless::Vec::<Token, 8>::new();
-        prune(&scores, LogProb::from_q12(4 << 12), &mut tokens);
+        prune(&scores, LogProb::from_q12(4 << 12), 8, &mut tokens);
         let kept: heapless::Vec<_, 8> = tokens.iter().map(|t| (t.state.0, t.score)).collect();
         assert_eq!(kept[..], [(3, -4 * 256), (700, 0), (1871, -256)]);
     }
@@ -105,8 +112,8 @@ mod tests {
     fn keeps_the_best_when_there_is_no_room() {
         // Scores 0, −1, … −99 sixteenths of a bit in a scrambled order of states.
         let scores = scores((0..100).map(|i| (17 * i % 1009, -(i as i32) << 8)));
-        let mut tokens = heapless::Vec::<Token, 20>::new();
-        prune(&scores, LogProb::from_q12(1 << 26), &mut tokens);
+        let mut tokens = heapless::Vec::<Token, 32>::new();
+        prune(&scores, LogProb::from_q12(1 << 26), 20, &mut tokens);
         assert_eq!(tokens.len(), 20);
         assert!(tokens.iter().all(|t| t.score > -20 * 16), "{tokens:?}");
         assert!(tokens.windows(2).all(|w| w[0].state < w[1].state));
@@ -116,7 +123,7 @@ mod tests {
     fn equal_scores_fill_the_room_exactly() {
         let scores = scores((0..50).map(|i| (i, -7)));
         let mut tokens = heapless::Vec::<Token, 20>::new();
-        prune(&scores, LogProb::from_q12(4096), &mut tokens);
+        prune(&scores, LogProb::from_q12(4096), 20, &mut tokens);
         assert_eq!(tokens.len(), 20);
     }
 
@@ -124,7 +131,7 @@ mod tests {
     fn the_best_always_stays() {
         let scores = scores([(5, -(1 << 25)), (6, -(1 << 26))]);
         let mut tokens = heapless::Vec::<Token, 4>::new();
-        prune(&scores, LogProb::from_q12(1), &mut tokens);
+        prune(&scores, LogProb::from_q12(1), 4, &mut tokens);
         assert_eq!(tokens.len(), 1);
         assert_eq!(tokens[0].score, 0);
     }

@@ -78,7 +78,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
-        prune(&self.scores, self.beam, &mut frame.tokens);
+        prune(&self.scores, self.beam, TOKENS, &mut frame.tokens);
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
@@ -91,7 +91,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         emit_inputs(self.model, z, mouth, &mut self.scores);
-        prune(&self.scores, self.beam, &mut frame.tokens);
+        prune(&self.scores, self.beam, MOST_SHARP, &mut frame.tokens);
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
@@ -118,9 +118,12 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
     }
 }
 
+/// Active joint states of a model with a memory, at most: this bounds the work of its worst frame.
+const MOST_SHARP: usize = 96;
+
 /// Bits below the beam that an arc may bring before the sound of a model with a memory has been heard: its emissions
 /// are sharp, so that the best path may begin far behind.
-const MARGIN: i32 = 4;
+const MARGIN: i32 = 1;
 
 fn held_beam(beam: LogProb) -> LogProb {
     LogProb::from_q12(beam.q12().clamp(1, limit::BEAM))

@@ -7,8 +7,8 @@ use crate::model::field::N_VISUAL_STATES;
 
 /// States of a chain that take part in one frame, at most.
 pub const N_GATES: usize = 6;
-/// Least occupancy that takes part, Q0.16: 1/128.
-pub const LEAST_OCCUPANCY: u32 = 1 << 9;
+/// Least occupancy that takes part, Q0.16: 1/64.
+pub const LEAST_OCCUPANCY: u32 = 1 << 10;
 
 /// Occupancies of both chains' states, Q0.16; each chain's sum is 1 within its number of states in LSBs.
 pub struct Occupancy {

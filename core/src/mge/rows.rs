@@ -11,14 +11,24 @@ fn scaled(sum: i32, scale: i32, bias: i32) -> i32 {
     saturate_i32(round_shift_i64(product, SCALE_FRACTION_BITS) + i64::from(bias))
 }
 
+/// Products that a loop makes at a time, so that loads have constant offsets.
+const STEP: usize = 8;
+
 /// Σ weight·input. At most 494 products (32 taps and 6 means of 13) of 2⁷ · 2¹⁵: below 2³¹.
 #[inline]
 fn dot(weights: &[u8], inputs: &[i16]) -> i32 {
-    weights
-        .iter()
-        .zip(inputs)
-        .map(|(w, u)| i32::from(*w as i8) * i32::from(*u))
-        .sum()
+    let (chunks, rest) = weights.as_chunks::<STEP>();
+    let (inputs, left) = inputs.as_chunks::<STEP>();
+    let mut sum = 0;
+    for (w, u) in chunks.iter().zip(inputs) {
+        for i in 0..STEP {
+            sum += i32::from(w[i] as i8) * i32::from(u[i]);
+        }
+    }
+    for (w, u) in rest.iter().zip(left) {
+        sum += i32::from(*w as i8) * i32::from(*u);
+    }
+    sum
 }
 
 /// One row of the product.
@@ -52,16 +62,22 @@ pub fn product(rows: &Rows, inputs: &[i16], mut out: impl FnMut(usize, i32)) {
 #[inline]
 fn dot_four(weights: &[u8], columns: usize, inputs: &[i16]) -> [i32; 4] {
     let mut sums = [0i32; 4];
-    let (Some((a, rest)), true) = (weights.split_at_checked(columns), columns > 0) else {
-        return sums;
+    let row = |n: usize| {
+        let bytes = weights.get(n * columns..(n + 1) * columns);
+        bytes.unwrap_or(&[]).as_chunks::<STEP>()
     };
-    let Some((b, rest)) = rest.split_at_checked(columns) else {
-        return sums;
-    };
-    let Some((c, d)) = rest.split_at_checked(columns) else {
-        return sums;
-    };
-    for ((((a, b), c), d), u) in a.iter().zip(b).zip(c).zip(d).zip(inputs) {
+    let ((a, a_rest), (b, b_rest), (c, c_rest), (d, d_rest)) = (row(0), row(1), row(2), row(3));
+    let (chunks, left) = inputs.as_chunks::<STEP>();
+    for ((((a, b), c), d), u) in a.iter().zip(b).zip(c).zip(d).zip(chunks) {
+        for i in 0..STEP {
+            let u = i32::from(u[i]);
+            sums[0] += i32::from(a[i] as i8) * u;
+            sums[1] += i32::from(b[i] as i8) * u;
+            sums[2] += i32::from(c[i] as i8) * u;
+            sums[3] += i32::from(d[i] as i8) * u;
+        }
+    }
+    for ((((a, b), c), d), u) in a_rest.iter().zip(b_rest).zip(c_rest).zip(d_rest).zip(left) {
         let u = i32::from(*u);
         sums[0] += i32::from(*a as i8) * u;
         sums[1] += i32::from(*b as i8) * u;
@@ -77,11 +93,16 @@ mod tests {
 
     #[test]
     fn four_rows_at_once_are_four_rows() {
-        let weights: [u8; 28] = core::array::from_fn(|i| (i * 37 + 11) as u8);
-        let inputs: [i16; 7] = [-32768, 32767, 5, -1, 300, -7000, 12];
-        let sums = dot_four(&weights, 7, &inputs);
-        for (row, sum) in weights.chunks_exact(7).zip(sums) {
-            assert_eq!(sum, dot(row, &inputs));
+        let weights: [u8; 4 * 21] = core::array::from_fn(|i| (i * 37 + 11) as u8);
+        let inputs: [i16; 21] = core::array::from_fn(|i| (i as i32 * 7919 - 32768) as i16);
+        for columns in [3, 7, 8, 16, 21] {
+            let (weights, inputs) = (&weights[..4 * columns], &inputs[..columns]);
+            let sums = dot_four(weights, columns, inputs);
+            for (row, sum) in weights.chunks_exact(columns).zip(sums) {
+                let products = row.iter().zip(inputs);
+                let want: i32 = products.map(|(w, u)| i32::from(*w as i8) * i32::from(*u)).sum();
+                assert_eq!((sum, dot(row, inputs)), (want, want));
+            }
         }
     }
 
