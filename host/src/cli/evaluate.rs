@@ -230,6 +230,12 @@ fn command(args: &Args) -> String {
     if let Some(model) = &args.model {
         words.push(format!("-m {}", short(model)));
     }
+    if let Some(systems) = &args.systems {
+        words.push(format!("--systems {}", quoted(systems)));
+    }
+    if let Some(models) = &args.models {
+        words.push(format!("--models {}", short(models)));
+    }
     for given in &args.predictions {
         let name = given.split('=').next().unwrap_or_default();
         words.push(format!("--predictions {}=…", quoted(name)));
