@@ -2,6 +2,7 @@
 //! gone on with, streamed as in batches, refused in words.
 use std::path::Path;
 
+use lipstream::export::{MgeSettings, export_mge};
 use lipstream::mge::chain::VISUAL;
 use lipstream::mge::data::{Clip, Data};
 use lipstream::mge::judge::{centred, judge};
@@ -14,6 +15,10 @@ use lipstream::mge::step::Net;
 use lipstream::mge::train::train_on;
 use lipstream::model::{Model, N_EMITTING};
 use lipstream::synthetic::{self, Sizes};
+use lipstream_core::hmm::converter::{Converter, Settings as ConverterSettings};
+use lipstream_core::logmath::LogProb;
+use lipstream_core::model::Model as Tables;
+use lipstream_core::parameters::ParameterFrame;
 use ndarray::Array2;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -271,4 +276,74 @@ fn a_file_gives_the_model_back() {
     wrong.write(&likely).unwrap();
     let error = format!("{:#}", MgeModel::read(&likely).unwrap_err());
     assert!(error.contains("mge.context_mean"), "{error}");
+}
+
+/// The device's arithmetic on whole LSBs of Q7.8, to the end of the sound.
+fn fixed(tables: &[u8], statics: &Array2<i16>) -> Vec<ParameterFrame> {
+    let tables = Tables::new_checked(tables).unwrap();
+    // Without beam and bound: what is compared is the arithmetic.
+    let settings = ConverterSettings {
+        beam: Some(LogProb::from_q12(60 << 12)),
+        most: Some(384),
+        ..ConverterSettings::default()
+    };
+    let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
+    let mut out = Vec::new();
+    for row in statics.rows() {
+        let row: [i16; 13] = std::array::from_fn(|i| row[i]);
+        out.extend(converter.push(Some(&row), None));
+    }
+    while !converter.is_done() {
+        out.extend(converter.push(None, None));
+    }
+    out
+}
+
+#[test]
+fn fixed_point_follows_the_floats() {
+    let twin = twin();
+    let data = data(&twin);
+    for (feedback, maps, rates) in [
+        (Feedback::Output, Gate::Both, Gate::Visual),
+        (Feedback::Output, Gate::Audio, Gate::Audio),
+        (Feedback::None, Gate::Visual, Gate::Visual),
+    ] {
+        let settings = Settings {
+            feedback,
+            maps,
+            rates,
+            ..small()
+        };
+        let model = quietly(&data, &twin, &settings, None);
+        let tables = export_mge(&model, &MgeSettings::default()).unwrap().bytes;
+        let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        for clip in &data.validation {
+            let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
+            let heard = raw.mapv(|v| (v * 256.0).round() as i16);
+            // The whole clip, and sounds shorter than the look-ahead.
+            for length in [heard.nrows(), 1, 2, 8, 9, 30] {
+                let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
+                let floats = live::convert(&model, heard.mapv(|v| f32::from(v) / 256.0).view());
+                let said = fixed(&tables, &heard);
+                assert_eq!(said.len(), length);
+                for (t, frame) in said.iter().enumerate() {
+                    assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));
+                    for d in 0..OUTPUTS {
+                        let fixed = f64::from(frame.values[d]) / 1024.0;
+                        let float = f64::from(floats.parameters[[t, d]] / model.deviation[d]);
+                        error += (fixed - float).powi(2);
+                        power += float.powi(2);
+                    }
+                    for (v, weight) in frame.viseme_weights.iter().enumerate() {
+                        visemes += (f64::from(*weight) / 255.0 - f64::from(floats.visemes[[t, v]])).powi(2);
+                    }
+                    frames += 1.0;
+                }
+            }
+        }
+        let (relative, visemes) = ((error / power).sqrt(), (visemes / frames).sqrt());
+        println!("{feedback:?} {maps:?} {rates:?}: {relative:.4} of the mouth, visemes {visemes:.4}");
+        assert!(relative < 0.02, "{feedback:?} {maps:?} {rates:?}: {relative}");
+        assert!(visemes < 0.03, "{feedback:?} {maps:?} {rates:?}: {visemes}");
+    }
 }

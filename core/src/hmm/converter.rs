@@ -29,6 +29,8 @@ pub struct Settings {
     pub acoustic_scale: Option<u32>,
     /// Whether three frames are averaged.
     pub average: Option<bool>,
+    /// Active joint states, at most; held to the stream's room. It bounds the work of the worst frame.
+    pub most: Option<u16>,
 }
 
 /// What the gates of a frame were, while its context is still to come.
@@ -99,6 +101,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
             settings.beam.unwrap_or(model.beam()),
             settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
         );
+        self.follower.set_most(settings.most);
         self.reset();
     }
 

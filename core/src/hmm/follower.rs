@@ -20,6 +20,8 @@ pub struct Follower<'m, const TOKENS: usize, const FRAMES: usize> {
     model: &'m Model<'m>,
     beam: LogProb,
     acoustic_scale: u32,
+    /// Active joint states, at most.
+    most: usize,
     phones: PhonesByViseme,
     scores: Scores,
     window: Window<TOKENS, FRAMES>,
@@ -33,6 +35,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             model,
             beam: held_beam(beam),
             acoustic_scale: acoustic_scale.min(limit::ACOUSTIC_SCALE),
+            most: Self::own_most(model),
             phones: PhonesByViseme::new(model),
             scores: Scores::new(),
             window: Window::new(),
@@ -45,6 +48,21 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         self.beam = held_beam(beam);
         self.acoustic_scale = acoustic_scale.min(limit::ACOUSTIC_SCALE);
         self.reset();
+    }
+
+    /// Another bound on the active joint states, held to `TOKENS`; `None`: the kind of model's own.
+    pub fn set_most(&mut self, most: Option<u16>) {
+        self.most = most
+            .map_or(Self::own_most(self.model), usize::from)
+            .clamp(1, TOKENS);
+    }
+
+    fn own_most(model: &Model) -> usize {
+        if model.is_recurrent() {
+            MOST_SHARP.min(TOKENS)
+        } else {
+            TOKENS
+        }
     }
 
     /// Forgets the stream.
@@ -78,7 +96,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
-        prune(&self.scores, self.beam, TOKENS, &mut frame.tokens);
+        prune(&self.scores, self.beam, self.most, &mut frame.tokens);
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
@@ -91,7 +109,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         emit_inputs(self.model, z, mouth, &mut self.scores);
-        prune(&self.scores, self.beam, MOST_SHARP, &mut frame.tokens);
+        prune(&self.scores, self.beam, self.most, &mut frame.tokens);
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
