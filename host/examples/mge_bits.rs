@@ -5,6 +5,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use clap::ValueEnum;
 use lipstream::evaluate::metrics::Score;
 use lipstream::evaluate::truths;
 use lipstream::features::{FeatureFolder, Split};
@@ -18,11 +19,9 @@ fn main() -> Result<()> {
     let [folder, model, rest @ ..] = arguments.as_slice() else {
         bail!("give a feature folder and a model trained with --train mge")
     };
-    let split = match rest.first().map_or("test", String::as_str) {
-        "train" => Split::Train,
-        "val" => Split::Val,
-        "test" => Split::Test,
-        other => bail!("no split is called {other:?}: train, val, test"),
+    let name = rest.first().map_or("test", String::as_str);
+    let Ok(split) = Split::from_str(name, false) else {
+        bail!("no split is called {name:?}: train, val, test")
     };
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
     let model = MgeModel::read(&PathBuf::from(model))?;

@@ -36,7 +36,7 @@ impl Mixtures {
 }
 
 /// Index of the 13 pairs (i, j), |i − j| ≤ 1, of audio state i and visual state j inside a phone: 0..13.
-pub fn pair_class(audio: usize, visual: usize) -> usize {
+pub const fn pair_class(audio: usize, visual: usize) -> usize {
     debug_assert!(audio < N_EMITTING && visual < N_EMITTING && audio.abs_diff(visual) <= 1);
     3 * audio + visual - audio
 }

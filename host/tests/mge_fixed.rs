@@ -1,12 +1,15 @@
 //! Streams of a model with a memory, of random numbers: cuts, ends, hostile sounds, crafted tables. Against its floats a
 //! trained one is held in `mge.rs`.
+mod common;
+
+use common::tables::{hear_out, seal, section};
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::mge::context::Context;
 use lipstream::mge::model::MgeModel;
 use lipstream::mge::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal};
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::model::Model as Tables;
-use lipstream_core::model::field::{CRC_SIZE, N_SECTIONS, checksum, entry, header};
+use lipstream_core::model::field::{CRC_SIZE, N_SECTIONS, Section, entry, header};
 use lipstream_core::parameters::ParameterFrame;
 use lipstream_core::stream::{Settings, Stream};
 use rand::{RngExt, SeedableRng};
@@ -125,12 +128,10 @@ fn crafted_tables_never_panic() {
         let body = header::SIZE + N_SECTIONS * entry::SIZE..bad.len() - CRC_SIZE;
         if round % 3 == 0 {
             // Everything random, or as large as it gets, in one section.
-            let at = header::SIZE + rng.random_range(1..N_SECTIONS) * entry::SIZE;
-            let number = |at: usize| u32::from_le_bytes(bad[at..at + 4].try_into().unwrap()) as usize;
-            let (from, length) = (number(at + entry::OFFSET), number(at + entry::LENGTH));
+            let range = section(&bad, Section::ALL[rng.random_range(1..N_SECTIONS)]);
             let extreme = [0x7f, 0x80, 0xff][rng.random_range(0..3)];
             let random = rng.random_bool(0.5);
-            for byte in &mut bad[from..from + length] {
+            for byte in &mut bad[range] {
                 *byte = if random { rng.random() } else { extreme };
             }
         } else {
@@ -139,21 +140,14 @@ fn crafted_tables_never_panic() {
                 bad[at] = rng.random();
             }
         }
-        let end = bad.len() - CRC_SIZE;
-        let crc = checksum(&bad[..end]).to_le_bytes();
-        bad[end..].copy_from_slice(&crc);
+        seal(&mut bad);
         let Ok(tables) = Tables::new_checked(&bad) else {
             refused += 1;
             continue;
         };
         accepted += 1;
-        let mut stream = Stream::new(&tables, Settings::default());
         let samples: Vec<i16> = (0..4000).map(|_| rng.random()).collect();
-        let mut rest = &samples[..];
-        while !rest.is_empty() {
-            rest = &rest[stream.push(rest).0..];
-        }
-        while stream.finish().is_some() {}
+        hear_out(&tables, &samples);
     }
     assert!(
         accepted > 20 && refused > 20,

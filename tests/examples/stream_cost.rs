@@ -18,9 +18,9 @@ mod target {
     use cortex_m_rt::entry;
     use lipstream_core::HOP_SAMPLES;
     use lipstream_core::frontend::{Config, FrontEnd};
+    use lipstream_core::hmm::gates::Gates;
     use lipstream_core::hmm::local_linear::History;
     use lipstream_core::mge::context::{Means, project};
-    use lipstream_core::mge::gates::Gates;
     use lipstream_core::mge::memory::Memory;
     use lipstream_core::mge::rows;
     use lipstream_core::model::Model;

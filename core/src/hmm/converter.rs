@@ -4,12 +4,13 @@
 //! come [`DELTA_HOPS`] hops after their statics. The moving average over frames t − 1, t, t + 1 (X&L section 6; at the
 //! ends of an utterance over those that exist) costs one hop more. See [`Converter::delay_hops`].
 use super::follower::Follower;
-use super::local_linear::{Gates, History, apply};
+use super::gates::Gates;
+use super::local_linear::{History, apply};
 use crate::fixed::saturate_i16;
 use crate::logmath::LogProb;
 use crate::mge::context::{Means, project};
-use crate::mge::gates::{self, Occupancy};
 use crate::mge::memory::Memory;
+use crate::mge::occupancy::Occupancy;
 use crate::model::Model;
 use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
@@ -187,8 +188,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         let fed_back = self.memory.mouth().get(..model.shape().fed_back()).unwrap_or(&[]);
         self.follower.follow_inputs(z, fed_back);
         let occupancy = Occupancy::of(model, self.follower.active());
-        let audio = gates::Gates::choose(&occupancy.audio);
-        let visual = gates::Gates::choose(&occupancy.visual);
+        let audio = Gates::choose(&occupancy.audio);
+        let visual = Gates::choose(&occupancy.visual);
         let values = self.memory.step(model, z, &audio, &visual);
         self.numbered(values, viseme_weights(&occupancy.visual))
     }

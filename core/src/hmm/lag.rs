@@ -3,8 +3,9 @@
 //! γ_t(s) ∝ α_t(s)·β_t(s), with β_n = 1 at the newest frame n and β_t(s) = Σ P(s→s')·b_{t+1}(s')·β_{t+1}(s')
 //! below it: the exact backward pass over the window (X&L section 3.4 has it over the utterance). A token whose γ falls
 //! out of the beam on the way is dropped for good, so that the window thins out with age.
+use super::gates::share;
 use super::token::{PhonesByViseme, Scores, Token, backward};
-use crate::logmath::{LINEAR_FRACTION_BITS, LogProb, NEVER_I16};
+use crate::logmath::{LogProb, NEVER_I16};
 use crate::model::Model;
 use crate::model::field::{N_EMITTING, N_VISUAL_STATES, limit};
 
@@ -178,21 +179,13 @@ fn add_up<const TOKENS: usize>(
     // β is relative to the best αβ: no term exceeds 1 by more than the rounding of a sum.
     let mut total: u32 = 0;
     for (token, beta) in frame.tokens.iter().zip(worth) {
-        let share = LogProb::from_score(token.score).times(*beta).exp2();
+        let weight = LogProb::from_score(token.score).times(*beta).exp2();
         let visual = token.state.visual(model.viseme(token.state.phone()));
         // At most 1872 terms of 2¹⁶: below 2²⁷.
-        total += share;
+        total += weight;
         if let Some(sum) = occupancy.get_mut(visual) {
-            *sum += share;
+            *sum += weight;
         }
     }
-    // Divide by the total's upper 16 bits: relative error 2⁻¹⁵, and 32-bit divisions only.
-    let up = total.leading_zeros();
-    let divisor = total.checked_shl(up).unwrap_or(0) >> LINEAR_FRACTION_BITS;
-    for sum in occupancy.iter_mut() {
-        *sum = (*sum << up)
-            .checked_div(divisor)
-            .unwrap_or(0)
-            .min(1 << LINEAR_FRACTION_BITS);
-    }
+    share(occupancy, total);
 }

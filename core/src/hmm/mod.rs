@@ -8,6 +8,7 @@ pub mod beam;
 pub mod converter;
 pub mod density;
 pub mod follower;
+pub mod gates;
 pub mod lag;
 pub mod local_linear;
 pub mod token;

@@ -2,10 +2,10 @@
 //!
 //! w = Σγ G, r = Σγ R, λ = Σγ Λ over both chains' states; h ← h + λ∘(V_d z ∘ w + r − h);
 //! ŷ = W₀ z + b₀ + Σγ B + O h.
-use super::gates::Gates;
 use super::rate::rate;
 use super::rows;
 use crate::fixed::{round_shift, saturate_i16, saturate_i32};
+use crate::hmm::gates::Gates;
 use crate::model::field::{Matrix, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, limit};
 use crate::model::{Gate, Model};
 use crate::parameters::MAX_PARAMETERS;

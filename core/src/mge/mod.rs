@@ -6,16 +6,17 @@
 //! ```text
 //! z_t = V c_t − b_z                                              [`context`]
 //! α_t(a, v) ∝ (Aᵀα_{t−1})(a, v) · 2^(U_a z_t + b_a + F_v ŷ_{t−1} + f_v)   [`crate::hmm::follower`]
-//! γᵃ, γᵛ: sums of α_t                                            [`gates`]
+//! γᵃ, γᵛ: sums of α_t                                            [`occupancy`]
 //! w = Σγ G,  r = Σγ R,  λ = Σγ Λ                                 [`memory`]
 //! h_t = h_{t−1} + λ∘(V_d z_t ∘ w + r − h_{t−1})
 //! ŷ_t = W₀ z_t + b₀ + Σγ B + O h_t
 //! ```
 //!
-//! V is in i16, as its columns are strongly correlated; every other matrix in i8 ([`rows`]). Sums over states take the largest occupancies only, see [`gates`]. z, ŷ and what the output reads of h are Q5.10
-//! in 16 bits; h itself is Q15.16; log likelihoods are [`crate::logmath::LogProb`].
+//! V is in i16, as its columns are strongly correlated; every other matrix in i8 ([`rows`]). Sums over states take the
+//! largest occupancies only, see [`crate::hmm::gates`]. z, ŷ and what the output reads of h are Q5.10 in 16 bits; h
+//! itself is Q15.16; log likelihoods are [`crate::logmath::LogProb`].
 pub mod context;
-pub mod gates;
 pub mod memory;
+pub mod occupancy;
 pub mod rate;
 pub mod rows;

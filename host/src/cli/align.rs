@@ -41,7 +41,7 @@ pub(crate) struct Args {
     dictionary: Option<PathBuf>,
     /// Only clips of this split of a feature folder
     #[arg(long)]
-    split: Option<SplitName>,
+    split: Option<Split>,
     /// Only clips of these speakers, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     speakers: Vec<String>,
@@ -51,13 +51,6 @@ pub(crate) struct Args {
     /// Print the score as JSON
     #[arg(long, requires = "score")]
     json: bool,
-}
-
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum SplitName {
-    Train,
-    Val,
-    Test,
 }
 
 /// One sound to align.
@@ -309,16 +302,11 @@ fn from_features(args: &Args, root: &Path) -> Result<Vec<Job>> {
         );
     }
     let folder = FeatureFolder::open(root)?;
-    let split = args.split.map(|s| match s {
-        SplitName::Train => Split::Train,
-        SplitName::Val => Split::Val,
-        SplitName::Test => Split::Test,
-    });
     Ok(folder
         .manifest
         .clips
         .iter()
-        .filter(|c| split.is_none_or(|s| c.split == s))
+        .filter(|c| args.split.is_none_or(|s| c.split == s))
         .filter(|c| !(c.words.is_empty() && c.phones.is_empty()))
         .map(|c| Job {
             clip: c.clone(),

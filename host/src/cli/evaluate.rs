@@ -34,7 +34,7 @@ pub(crate) struct Args {
     predictions: Vec<String>,
     /// Clips to measure on
     #[arg(long, default_value = "test")]
-    split: SplitName,
+    split: Split,
     /// Report to write: a folder (page, tables and JSON, with noise and cold starts), or a .md, .html or .json file
     #[arg(short, long, value_name = "REPORT")]
     output: Option<PathBuf>,
@@ -70,29 +70,12 @@ pub(crate) struct Args {
     json: bool,
 }
 
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-enum SplitName {
-    Train,
-    Val,
-    Test,
-}
-
 /// The last part of a path: a report is read on other machines.
 fn short(path: &Path) -> String {
     path.file_name()
         .unwrap_or_default()
         .to_string_lossy()
         .into_owned()
-}
-
-impl From<SplitName> for Split {
-    fn from(name: SplitName) -> Split {
-        match name {
-            SplitName::Train => Split::Train,
-            SplitName::Val => Split::Val,
-            SplitName::Test => Split::Test,
-        }
-    }
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -141,7 +124,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }
-    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &|what| {
+    let report = evaluate::measure(&folder, args.split, &candidates, &settings, &|what| {
         eprintln!("measuring: {what}")
     })?;
     if args.json {

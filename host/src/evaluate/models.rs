@@ -56,48 +56,68 @@ pub fn of_model<'a>(
     model: &'a Model,
     beam_bits: Option<f64>,
 ) -> Result<Vec<Candidate<'a>>> {
-    ensure!(
-        model.visual_size() == folder.manifest.visual_size,
-        "the model speaks {} mouth parameters, {} holds {}",
-        model.visual_size(),
-        folder.root.display(),
-        folder.manifest.visual_size
-    );
-    let device = Engine::fixed(export(model, &ExportSettings::of(model))?.bytes)?;
+    speaks_as_many(folder, model.visual_size())?;
+    let tables = export(model, &ExportSettings::of(model))?.bytes;
+    let ahead = Some(model.look_ahead_ms());
+    Ok(vec![
+        local_linear("ph-vi-chmm + local linear, float", None, model, Lag::Whole),
+        local_linear(
+            "ph-vi-chmm + local linear, float, fixed lag",
+            ahead,
+            model,
+            Lag::Frames(model.following.lag),
+        ),
+        device(
+            "ph-vi-chmm + local linear, fixed point, beam and lag",
+            ahead,
+            tables,
+            beam_bits,
+        )?,
+    ])
+}
+
+/// Local linear maps in floats.
+pub(super) fn local_linear<'a>(name: &str, ahead: Option<u32>, model: &'a Model, lag: Lag) -> Candidate<'a> {
+    let follower = Follower::of_model(model);
+    Candidate::new(name, ahead, move |heard: &Heard| {
+        let (parameters, visemes) = convert_with(&follower, model, &heard.observations, lag)?;
+        Ok(Prediction {
+            parameters,
+            visemes: Some(visemes),
+        })
+    })
+}
+
+/// What the device makes of these tables.
+fn device<'a>(
+    name: &str,
+    ahead: Option<u32>,
+    tables: Vec<u8>,
+    beam_bits: Option<f64>,
+) -> Result<Candidate<'a>> {
+    let engine = Engine::fixed(tables)?;
     let with = RunSettings {
         beam_bits,
         ..RunSettings::default()
     };
-    let float = |name: &str, ahead, lag| {
-        let follower = Follower::of_model(model);
-        Candidate::new(name, ahead, move |heard: &Heard| {
-            let (parameters, visemes) = convert_with(&follower, model, &heard.observations, lag)?;
-            Ok(Prediction {
-                parameters,
-                visemes: Some(visemes),
-            })
+    Ok(Candidate::new(name, ahead, move |heard: &Heard| {
+        let said = engine.convert(&heard.samples, &with)?;
+        Ok(Prediction {
+            parameters: said.parameters,
+            visemes: Some(said.visemes),
         })
-    };
-    let ahead = Some(model.look_ahead_ms());
-    Ok(vec![
-        float("ph-vi-chmm + local linear, float", None, Lag::Whole),
-        float(
-            "ph-vi-chmm + local linear, float, fixed lag",
-            ahead,
-            Lag::Frames(model.following.lag),
-        ),
-        Candidate::new(
-            "ph-vi-chmm + local linear, fixed point, beam and lag",
-            ahead,
-            move |heard: &Heard| {
-                let said = device.convert(&heard.samples, &with)?;
-                Ok(Prediction {
-                    parameters: said.parameters,
-                    visemes: Some(said.visemes),
-                })
-            },
-        ),
-    ])
+    }))
+}
+
+/// Refuses a model of another number of mouth parameters than the folder's.
+fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
+    ensure!(
+        size == folder.manifest.visual_size,
+        "the model speaks {size} mouth parameters, {} holds {}",
+        folder.root.display(),
+        folder.manifest.visual_size
+    );
+    Ok(())
 }
 
 /// A model trained on the error of its mouth, streamed frame by frame: in floats, and as the device computes it.
@@ -106,19 +126,9 @@ pub fn of_mge<'a>(
     model: &'a MgeModel,
     beam_bits: Option<f64>,
 ) -> Result<Vec<Candidate<'a>>> {
-    ensure!(
-        model.deviation.len() == folder.manifest.visual_size,
-        "the model speaks {} mouth parameters, {} holds {}",
-        model.deviation.len(),
-        folder.root.display(),
-        folder.manifest.visual_size
-    );
+    speaks_as_many(folder, model.deviation.len())?;
     let ahead = Some(model.look_ahead_ms());
-    let device = Engine::fixed(export_mge(model, &MgeSettings::default())?.bytes)?;
-    let with = RunSettings {
-        beam_bits,
-        ..RunSettings::default()
-    };
+    let tables = export_mge(model, &MgeSettings::default())?.bytes;
     Ok(vec![
         Candidate::new("mge, float", ahead, move |heard: &Heard| {
             let said = live::convert(model, heard.observations.view());
@@ -127,12 +137,6 @@ pub fn of_mge<'a>(
                 visemes: Some(said.visemes),
             })
         }),
-        Candidate::new("mge, fixed point and beam", ahead, move |heard: &Heard| {
-            let said = device.convert(&heard.samples, &with)?;
-            Ok(Prediction {
-                parameters: said.parameters,
-                visemes: Some(said.visemes),
-            })
-        }),
+        device("mge, fixed point and beam", ahead, tables, beam_bits)?,
     ])
 }

@@ -1,13 +1,15 @@
 //! The papers' systems as candidates: each HMM trained once (or read, where it was trained before), each way of
 //! speaking a candidate of its own.
 use std::path::Path;
+use std::sync::Arc;
 
 use anyhow::{Context as _, Result, bail, ensure};
 
 use super::candidate::{Candidate, Heard, Iteration, Prediction};
+use super::models::local_linear;
 use crate::features::FeatureFolder;
 use crate::hmm::Hmm;
-use crate::hmm::convert::{Follower, Lag, convert_with, smooth, viseme_weights};
+use crate::hmm::convert::{Lag, smooth, viseme_weights};
 use crate::hmm::inversion::Inverter;
 use crate::hmm::system::{SYSTEMS, Speech, System};
 use crate::model::{EmSettings, Model};
@@ -96,15 +98,8 @@ pub fn candidates<'a>(systems: &[System], models: &'a [Model]) -> Result<Vec<Can
 fn candidate(system: System, model: &Model) -> Candidate<'_> {
     match system.speech {
         Speech::LocalLinear => {
-            let follower = Follower::of_model(model);
             let lag = Lag::Frames(model.following.lag);
-            Candidate::new(system.name, Some(model.look_ahead_ms()), move |heard: &Heard| {
-                let (parameters, visemes) = convert_with(&follower, model, &heard.observations, lag)?;
-                Ok(Prediction {
-                    parameters,
-                    visemes: Some(visemes),
-                })
-            })
+            local_linear(system.name, Some(model.look_ahead_ms()), model, lag)
         }
         Speech::Viterbi => {
             let inverter = Inverter::new(Hmm::of_model(model));
@@ -117,8 +112,8 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
             })
         }
         Speech::Means => {
-            let inverter = Inverter::new(Hmm::of_model(model));
-            let again = Inverter::new(Hmm::of_model(model));
+            let inverter = Arc::new(Inverter::new(Hmm::of_model(model)));
+            let again = inverter.clone();
             let candidate = Candidate::new(system.name, None, move |heard: &Heard| {
                 let (said, occupancy) = inverter.convert(&heard.observations, &model.conversion)?;
                 Ok(Prediction {

@@ -10,10 +10,10 @@ use super::forward_backward::forward;
 use super::graph::Graph;
 use super::inversion::Inverter;
 use super::system::Speech;
-use super::topology::{Topology, VisualAtom};
+use super::topology::VisualAtom;
 use crate::local_linear;
 use crate::model::{Model, N_EMITTING};
-use crate::phones::{Phone, VISEMES};
+use crate::phones::VISEMES;
 
 /// How much of the future an occupancy may know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,19 +118,15 @@ pub fn convert_with(
     Ok((spoken, viseme_weights(model, &visual)))
 }
 
-/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states.
+/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the five states of each
+/// visual atom, and over the phones of a viseme where the atoms are phones.
 pub fn viseme_weights(model: &Model, visual: &Array2<f32>) -> Array2<f32> {
-    by_viseme(model.system.topology, &model.phones, visual)
-}
-
-/// The sum over the five states of each visual atom, and over the phones of a viseme where the atoms are phones.
-fn by_viseme(topology: Topology, phones: &[Phone], visual: &Array2<f32>) -> Array2<f32> {
     let mut out = Array2::zeros((visual.nrows(), VISEMES.len()));
     for (state, column) in visual.axis_iter(Axis(1)).enumerate() {
         let atom = state / N_EMITTING;
-        let viseme = match topology.visual {
+        let viseme = match model.system.topology.visual {
             VisualAtom::Viseme => atom,
-            VisualAtom::Phone => usize::from(phones[atom].viseme().0),
+            VisualAtom::Phone => usize::from(model.phones[atom].viseme().0),
         };
         let mut weight = out.column_mut(viseme);
         weight += &column;

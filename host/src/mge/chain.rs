@@ -91,6 +91,15 @@ fn fused(a: &[f32], b: &[f32], y: &mut [f32]) {
     }
 }
 
+/// Classes of the pairs (audio, visual) at a phone's borders, counted from 0.
+const LAST: usize = N_EMITTING - 1;
+const PAIR_44: usize = pair_class(LAST, LAST);
+const PAIR_43: usize = pair_class(LAST, LAST - 1);
+const PAIR_34: usize = pair_class(LAST - 1, LAST);
+const PAIR_00: usize = pair_class(0, 0);
+const PAIR_01: usize = pair_class(0, 1);
+const PAIR_10: usize = pair_class(1, 0);
+
 /// What does not change while a clip is followed.
 #[derive(Clone, Debug)]
 pub struct Chain {
@@ -195,13 +204,6 @@ impl Chain {
 
     /// π = Aᵀα (M3): where the mass of `alpha` goes in one step. Both `[SLOTS][stride]`.
     pub fn predict(&self, alpha: &[f32], out: &mut [f32], scratch: &mut Scratch) {
-        let last = N_EMITTING - 1;
-        let (k44, k43, k34) = (
-            pair_class(last, last),
-            pair_class(last, last - 1),
-            pair_class(last - 1, last),
-        );
-        let (k00, k01, k10) = (pair_class(0, 0), pair_class(0, 1), pair_class(1, 0));
         let n = self.phones;
         out.fill(0.0);
         for &(from, to, row) in &self.arcs {
@@ -211,16 +213,32 @@ impl Chain {
         // Sound leads.
         let x = &mut scratch.a;
         x.fill(0.0);
-        fused(self.slot(alpha, k44), self.t(k44, choice::AUDIO_ADVANCES), x);
-        fused(self.slot(alpha, k43), self.t(k43, choice::BOTH_ADVANCE), x);
+        fused(
+            self.slot(alpha, PAIR_44),
+            self.t(PAIR_44, choice::AUDIO_ADVANCES),
+            x,
+        );
+        fused(
+            self.slot(alpha, PAIR_43),
+            self.t(PAIR_43, choice::BOTH_ADVANCE),
+            x,
+        );
         for p in 0..n {
             let to = self.slot_mut(out, INSIDE + ATOMS + self.atom[p]);
             axpy(x[p], self.slot(&self.bigram, p), to);
         }
         // Mouth leads.
         x.fill(0.0);
-        fused(self.slot(alpha, k44), self.t(k44, choice::VISUAL_ADVANCES), x);
-        fused(self.slot(alpha, k34), self.t(k34, choice::BOTH_ADVANCE), x);
+        fused(
+            self.slot(alpha, PAIR_44),
+            self.t(PAIR_44, choice::VISUAL_ADVANCES),
+            x,
+        );
+        fused(
+            self.slot(alpha, PAIR_34),
+            self.t(PAIR_34, choice::BOTH_ADVANCE),
+            x,
+        );
         for m in 0..ATOMS {
             let share = self.slot(&self.by_atom, m);
             fused(x, share, self.slot_mut(out, INSIDE + m));
@@ -228,7 +246,11 @@ impl Chain {
         // The next phone: both chains enter together, or the sound follows the mouth.
         let both = &mut scratch.b;
         both.fill(0.0);
-        fused(self.slot(alpha, k44), self.t(k44, choice::BOTH_ADVANCE), both);
+        fused(
+            self.slot(alpha, PAIR_44),
+            self.t(PAIR_44, choice::BOTH_ADVANCE),
+            both,
+        );
         for m in 0..ATOMS {
             let leads = self.slot(alpha, INSIDE + m);
             let inverse = self.slot(&self.by_atom_inverse, m);
@@ -245,8 +267,8 @@ impl Chain {
         }
         for q in 0..n {
             let b = self.slot(&self.bigram_to, q);
-            out[k00 * self.stride + q] += dot(b, self.slot(&scratch.wide, self.atom[q]));
-            out[k01 * self.stride + q] += dot(b, self.slot(&scratch.wide2, self.atom[q]));
+            out[PAIR_00 * self.stride + q] += dot(b, self.slot(&scratch.wide, self.atom[q]));
+            out[PAIR_01 * self.stride + q] += dot(b, self.slot(&scratch.wide2, self.atom[q]));
         }
         // Leaders that stay, and mouths that follow.
         let mouth_stays = self.t(MOUTH_LEADS, choice::STAY);
@@ -266,12 +288,12 @@ impl Chain {
         fused(
             sum,
             self.t(SOUND_LEADS, choice::VISUAL_ADVANCES),
-            self.slot_mut(out, k00),
+            self.slot_mut(out, PAIR_00),
         );
         fused(
             sum,
             self.t(SOUND_LEADS, choice::BOTH_ADVANCE),
-            self.slot_mut(out, k10),
+            self.slot_mut(out, PAIR_10),
         );
     }
 
@@ -284,13 +306,6 @@ impl Chain {
         g_transition: &mut [f32],
         scratch: &mut Scratch,
     ) {
-        let last = N_EMITTING - 1;
-        let (k44, k43, k34) = (
-            pair_class(last, last),
-            pair_class(last, last - 1),
-            pair_class(last - 1, last),
-        );
-        let (k00, k01, k10) = (pair_class(0, 0), pair_class(0, 1), pair_class(1, 0));
         let n = self.phones;
         g_alpha.fill(0.0);
         for &(from, to, row) in &self.arcs {
@@ -315,29 +330,33 @@ impl Chain {
                 self.slot(g, INSIDE + ATOMS + self.atom[p]),
             );
         }
-        leave(k44, choice::AUDIO_ADVANCES, k44, x, g_alpha);
-        leave(k43, choice::BOTH_ADVANCE, k43, x, g_alpha);
+        leave(PAIR_44, choice::AUDIO_ADVANCES, PAIR_44, x, g_alpha);
+        leave(PAIR_43, choice::BOTH_ADVANCE, PAIR_43, x, g_alpha);
         // Mouth leads.
         x.fill(0.0);
         for m in 0..ATOMS {
             fused(self.slot(&self.by_atom, m), self.slot(g, INSIDE + m), x);
         }
-        leave(k44, choice::VISUAL_ADVANCES, k44, x, g_alpha);
-        leave(k34, choice::BOTH_ADVANCE, k34, x, g_alpha);
+        leave(PAIR_44, choice::VISUAL_ADVANCES, PAIR_44, x, g_alpha);
+        leave(PAIR_34, choice::BOTH_ADVANCE, PAIR_34, x, g_alpha);
         // The next phone.
         let (wide, wide2) = (&mut scratch.wide, &mut scratch.wide2);
         wide.fill(0.0);
         wide2.fill(0.0);
         for q in 0..n {
             let b = self.slot(&self.bigram_to, q);
-            axpy(g[k00 * self.stride + q], b, self.slot_mut(wide, self.atom[q]));
-            axpy(g[k01 * self.stride + q], b, self.slot_mut(wide2, self.atom[q]));
+            axpy(g[PAIR_00 * self.stride + q], b, self.slot_mut(wide, self.atom[q]));
+            axpy(
+                g[PAIR_01 * self.stride + q],
+                b,
+                self.slot_mut(wide2, self.atom[q]),
+            );
         }
         x.fill(0.0);
         for m in 0..ATOMS {
             axpy(1.0, self.slot(wide, m), x);
         }
-        leave(k44, choice::BOTH_ADVANCE, k44, x, g_alpha);
+        leave(PAIR_44, choice::BOTH_ADVANCE, PAIR_44, x, g_alpha);
         for m in 0..ATOMS {
             let inverse = self.slot(&self.by_atom_inverse, m);
             for (w, i) in self.slot_mut(wide, m).iter_mut().zip(inverse) {
@@ -367,14 +386,14 @@ impl Chain {
                 sound,
                 choice::VISUAL_ADVANCES,
                 SOUND_LEADS,
-                self.slot(g, k00),
+                self.slot(g, PAIR_00),
                 g_alpha,
             );
             leave(
                 sound,
                 choice::BOTH_ADVANCE,
                 SOUND_LEADS,
-                self.slot(g, k10),
+                self.slot(g, PAIR_10),
                 g_alpha,
             );
         }

@@ -10,6 +10,7 @@ use lipstream_core::frontend::{FrontEnd, Hop};
 use ndarray::{Array2, s};
 
 pub(crate) mod sounds;
+pub(crate) mod tables;
 pub(crate) mod talker;
 
 /// All hops that `samples` bring when they are pushed `piece` at a time.
