@@ -5,6 +5,8 @@
 use std::env;
 use std::path::PathBuf;
 
+use lipstream_core::model::Model;
+
 /// A board's Cargo feature as the environment spells it, and the symbol that chooses its memory in `memory.x`.
 const BOARDS: [(&str, &str); 1] = [("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386")];
 
@@ -35,12 +37,20 @@ fn main() {
         None => root.join("models/grid-s1.tables"),
     };
     println!("cargo::rerun-if-changed={}", tables.display());
-    if tables.is_file() {
-        println!("cargo::rustc-env=LIPSTREAM_TABLES_FILE={}", tables.display());
-    } else {
+    println!("cargo::rustc-check-cfg=cfg(model_with_memory)");
+    let Ok(bytes) = std::fs::read(&tables) else {
         println!(
             "cargo::error=no model tables at {}: `lipstream export` makes them, LIPSTREAM_TABLES names them",
             tables.display()
         );
+        return;
+    };
+    println!("cargo::rustc-env=LIPSTREAM_TABLES_FILE={}", tables.display());
+    // The stream gets as much room as this kind of model needs.
+    match Model::new_checked(&bytes) {
+        Ok(model) if model.is_recurrent() => println!("cargo::rustc-cfg=model_with_memory"),
+        Ok(_) => (),
+        // The device says it again at its start.
+        Err(error) => println!("cargo::warning={} is no model: {error}", tables.display()),
     }
 }

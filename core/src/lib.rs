@@ -12,6 +12,7 @@ pub mod logmath;
 pub mod mge;
 pub mod model;
 pub mod parameters;
+pub mod projection;
 pub mod stream;
 pub mod tables;
 pub mod wire;

@@ -11,6 +11,10 @@ pub use crate::hmm::converter::Settings;
 pub const TOKENS: usize = 384;
 /// Frames of a device's smoothing window: a lag of 8 at most.
 pub const FRAMES: usize = 9;
+/// The same for a stream of a model with a memory (see [`crate::mge`]), which keeps fewer states and has no lag: with these as
+/// its parameters a [`Stream`] takes half the room, and gives the same frames.
+pub const MEMORY_TOKENS: usize = crate::hmm::follower::MOST_SHARP;
+pub const MEMORY_FRAMES: usize = 1;
 
 /// One stream of speech. The result does not depend on how the samples are cut.
 ///
@@ -24,7 +28,7 @@ pub struct Stream<'m, const TOKENS: usize = { self::TOKENS }, const FRAMES: usiz
 
 impl<'m> Stream<'m> {
     /// A stream of the device's size.
-    #[inline]
+    #[inline(always)]
     pub fn new(model: &'m Model<'m>, settings: Settings) -> Self {
         Self::sized(model, settings)
     }
@@ -32,7 +36,7 @@ impl<'m> Stream<'m> {
 
 impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
     /// A stream of the size that the type says. A lag beyond `FRAMES` − 1 is held to it, see [`Stream::lag`].
-    #[inline]
+    #[inline(always)]
     pub fn sized(model: &'m Model<'m>, settings: Settings) -> Self {
         Self {
             frontend: FrontEnd::new(Config {
@@ -96,8 +100,15 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
         self.converter.active()
     }
 
+    /// Frames since the beginning in which the beam was narrowed to hold the worst case, see [`Settings::most`] and
+    /// [`Settings::phones`].
+    pub fn narrowed(&self) -> u32 {
+        self.converter.narrowed()
+    }
+
     /// Algorithmic delay in samples: from the centre of a frame's window (its `sample`) to the last sample that its
-    /// parameters wait for: 160 · max(lag + 4, last tap), 160 more with the moving average, and half a window of 200.
+    /// parameters wait for: 160 · max(lag + 4, last tap), 160 more with the moving average, and half a window of 200; with a
+    /// memory 160 · look-ahead and half a window.
     pub fn delay_samples(&self) -> usize {
         self.converter.delay_hops() * HOP_SAMPLES + FRAME_SAMPLES / 2
     }

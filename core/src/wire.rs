@@ -25,7 +25,7 @@ use crate::HOP_SAMPLES;
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
 
 /// Version of everything in this file; `Hello` carries it in its second byte, whatever else changes.
-pub const PROTOCOL: u8 = 1;
+pub const PROTOCOL: u8 = 2;
 /// Most samples that a [`ToDevice::Pcm`] carries: one hop.
 pub const MAX_PCM_SAMPLES: usize = HOP_SAMPLES;
 /// Longest payload, without its CRC, in bytes: a full `Pcm` (its 320 bytes of sound, their number in two, the
@@ -102,6 +102,8 @@ pub struct Status {
     pub overruns: u32,
     /// Frames lost since `Start` because the line was full.
     pub dropped: u32,
+    /// Frames since `Start` in which the beam was narrowed so that the deadline holds.
+    pub narrowed: u32,
 }
 
 /// Host → device.
@@ -121,9 +123,9 @@ pub enum ToDevice<'a> {
 /// Delay profiles (DESIGN section 5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Profile {
-    /// At most 45 ms of algorithmic delay.
+    /// At most 45 ms of algorithmic delay: 42.5 ms with a model with a memory.
     Live,
-    /// At most 80 ms.
+    /// At most 80 ms: 72.5 ms with a model with a memory.
     Standard,
     /// No limit: the host delays the sound.
     Studio,

@@ -83,6 +83,7 @@ fn examples_hold() {
             load_permille: 250,
             overruns: 0,
             dropped: 2,
+            narrowed: 5,
         }),
     );
     check_to_device("Start", ToDevice::Start);

@@ -3,7 +3,7 @@ use lipstream_core::HOP_SAMPLES;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::model::Model;
 use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{FRAMES, Settings, Stream};
+use lipstream_core::stream::{self, Settings, Stream};
 use lipstream_core::wire::{
     Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
     encode,
@@ -26,39 +26,21 @@ pub trait Clock {
     fn ticks(&self) -> u32;
 }
 
-/// What a profile means for the stream (DESIGN section 5). The delay that comes of it is in `Hello`.
-pub fn settings(profile: Profile) -> Settings {
-    match profile {
-        // The least delay that observations with ΔΔ allow.
-        Profile::Live => Settings {
-            lag: Some(0),
-            average: Some(false),
-            ..Settings::default()
-        },
-        // As the model was made.
-        Profile::Standard => Settings::default(),
-        Profile::Studio => Settings {
-            lag: Some(FRAMES as u16 - 1),
-            average: Some(true),
-            ..Settings::default()
-        },
-    }
-}
-
-/// The device's end of the line.
-pub struct App<'m, L, C> {
+/// The device's end of the line. `TOKENS` and `FRAMES` are the stream's, see [`Stream`].
+pub struct App<'m, L, C, const TOKENS: usize = { stream::TOKENS }, const FRAMES: usize = { stream::FRAMES }> {
     receiver: Receiver,
-    engine: Engine<'m, L, C>,
+    engine: Engine<'m, L, C, TOKENS, FRAMES>,
 }
 
-impl<'m, L: Line, C: Clock> App<'m, L, C> {
+impl<'m, L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> App<'m, L, C, TOKENS, FRAMES> {
+    #[inline(always)]
     pub fn new(model: &'m Model<'m>, line: L, clock: C) -> Self {
         let now = clock.ticks();
         Self {
             receiver: Receiver::new(),
             engine: Engine {
                 model,
-                stream: Stream::new(model, settings(Profile::Standard)),
+                stream: Stream::sized(model, Settings::of(Profile::Standard)),
                 line,
                 clock,
                 running: false,
@@ -106,9 +88,9 @@ impl<'m, L: Line, C: Clock> App<'m, L, C> {
 }
 
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
-struct Engine<'m, L, C> {
+struct Engine<'m, L, C, const TOKENS: usize, const FRAMES: usize> {
     model: &'m Model<'m>,
-    stream: Stream<'m>,
+    stream: Stream<'m, TOKENS, FRAMES>,
     line: L,
     clock: C,
     /// Between `Start` and `Stop`.
@@ -124,13 +106,13 @@ struct Engine<'m, L, C> {
     round_began: u32,
 }
 
-impl<L: Line, C: Clock> Engine<'_, L, C> {
+impl<L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> Engine<'_, L, C, TOKENS, FRAMES> {
     fn obey(&mut self, message: &ToDevice) {
         match *message {
             ToDevice::Start => self.start(),
             ToDevice::Stop => self.stop(),
             ToDevice::Profile(profile) => {
-                self.stream.set(settings(profile));
+                self.stream.set(Settings::of(profile));
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
@@ -232,6 +214,7 @@ impl<L: Line, C: Clock> Engine<'_, L, C> {
         let now = self.clock.ticks();
         let elapsed = u64::from(now.wrapping_sub(self.round_began)).max(1);
         // At most 1000 where the counter is not slower than 2³² ticks a round.
+        self.status.narrowed = self.stream.narrowed();
         self.status.load_permille = (u64::from(self.busy_ticks) * 1000 / elapsed).min(1000) as u16;
         self.say(&ToHost::Status(self.status));
         self.busy_ticks = 0;

@@ -6,4 +6,4 @@
 
 pub mod app;
 
-pub use app::{App, Clock, Line, settings};
+pub use app::{App, Clock, Line};

@@ -6,6 +6,7 @@ use lipstream_core::logmath::{FRACTION_BITS, LogProb};
 use lipstream_core::model::Model as Tables;
 use lipstream_core::model::field::{MAGIC, limit};
 use lipstream_core::stream::{FRAMES, Settings, Stream};
+use lipstream_core::wire::Profile;
 use ndarray::{Array2, Axis};
 
 use crate::export::{ExportSettings, MgeSettings, export, export_mge};
@@ -34,6 +35,8 @@ pub struct RunSettings {
     pub lag: Option<u16>,
     /// Width of the beam; `fixed` only.
     pub beam_bits: Option<f64>,
+    /// How much of the future may be waited for; all that the model can use where none is given.
+    pub profile: Option<Profile>,
 }
 
 /// A model made ready.
@@ -99,6 +102,10 @@ impl Engine {
                 );
                 let start_mean = std::array::from_fn(|i| model.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
+                ensure!(
+                    with.profile.is_none(),
+                    "in floats a model with a lag has no profiles: give --lag instead of --profile"
+                );
                 let lag = with.lag.map_or(model.following.lag, usize::from);
                 let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
                 Ok(Converted { parameters, visemes })
@@ -110,7 +117,9 @@ impl Engine {
                 );
                 let start_mean = std::array::from_fn(|i| model.twin.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
-                let said = live::convert(model, observations.view());
+                let own = model.parameters.shape.context.look_ahead();
+                let ahead = with.profile.and_then(|p| Settings::of(p).look_ahead);
+                let said = live::convert_within(model, observations.view(), ahead.map_or(own, usize::from));
                 Ok(Converted {
                     parameters: said.parameters,
                     visemes: said.visemes,
@@ -137,10 +146,11 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
         );
         Ok(LogProb::from_q12(q12 as i32))
     });
+    let own = with.profile.map_or(Settings::default(), Settings::of);
     Ok(Settings {
-        lag: with.lag,
+        lag: with.lag.or(own.lag),
         beam: beam.transpose()?,
-        ..Settings::default()
+        ..own
     })
 }
 

@@ -255,7 +255,9 @@ mod tests {
             .unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the device speaks protocol 9, this program 1: flash the firmware of this program's version"
+            format!(
+                "the device speaks protocol 9, this program {PROTOCOL}: flash the firmware of this program's version"
+            )
         );
     }
 }

@@ -33,7 +33,13 @@ fn fixed_occupancies<const T: usize, const F: usize>(
     observations: &Array2<f32>,
 ) -> Array2<f64> {
     let frames = observations.nrows();
-    let mut follower = Box::new(Follower::<T, F>::new(model, beam, model.acoustic_scale()));
+    let mut follower = Box::new(Follower::<T, F>::new(
+        model,
+        beam,
+        model.acoustic_scale(),
+        None,
+        None,
+    ));
     let mut out = Array2::zeros((frames, 65));
     let mut put = |t: usize, occupancy: [u32; 65]| {
         for (v, g) in occupancy.iter().enumerate() {
@@ -349,6 +355,8 @@ fn an_emptied_beam_keeps_the_best_token() {
         &tables,
         LogProb::from_q12(1),
         tables.acoustic_scale(),
+        None,
+        None,
     ));
     for row in observations.rows() {
         follower.follow(&q8(row));
@@ -376,6 +384,8 @@ fn extreme_observations_leave_a_distribution() {
             &tables,
             LogProb::from_q12(16 << 12),
             tables.acoustic_scale(),
+            None,
+            None,
         ));
         for n in 0..300u32 {
             let observation = std::array::from_fn(|d| match (n / 50) % 6 {

@@ -60,6 +60,7 @@ fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
                 x: Array2::from_shape_vec((frames, 13), x).unwrap(),
                 mouth: video.then(|| Array2::from_shape_vec((frames, OUTPUTS), mouth).unwrap()),
                 states,
+                variants: Vec::new(),
             }
         })
         .collect()
@@ -106,7 +107,7 @@ fn a_made_up_talker_is_learnt() {
             &model.context_mean,
             &model.deviation,
             &data.validation,
-            0,
+            8,
             model.least,
         );
         let acc = seen.score.acc();

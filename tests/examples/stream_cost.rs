@@ -87,11 +87,15 @@ mod target {
         });
         let mut out = [0; 64];
         count("drive", &mut || {
-            rows::product(&model.rows(Matrix::DRIVE, z.len()), z, |i, v| out[i & 63] = v);
+            let inputs = rows::Inputs::new(z);
+            rows::product(&model.blocks(Matrix::DRIVE, z.len()), &inputs, |i, v| {
+                out[i & 63] = v
+            });
         });
         core::hint::black_box(out);
+        let inputs = rows::Inputs::new(z);
         count("audio_state", &mut || {
-            core::hint::black_box(rows::row(&model.rows(Matrix::AUDIO, z.len()), 8, z));
+            core::hint::black_box(rows::row(&model.rows(Matrix::AUDIO, z.len()), 8, &inputs));
         });
     }
 

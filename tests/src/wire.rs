@@ -124,6 +124,7 @@ fn payload(message: &Either) -> Bytes {
             varint(&mut out, status.load_permille.into());
             varint(&mut out, status.overruns);
             varint(&mut out, status.dropped);
+            varint(&mut out, status.narrowed);
         }
         Either::ToDevice(ToDevice::Start) => out.push(0),
         Either::ToDevice(ToDevice::Stop) => out.push(1),
@@ -182,6 +183,7 @@ fn for_messages(mut check: impl FnMut(&Either)) {
             load_permille: 123,
             overruns,
             dropped: overruns / 3,
+            narrowed: overruns / 7,
         })));
     }
     check(&Either::ToDevice(ToDevice::Start));
@@ -426,13 +428,13 @@ fn error_at_device(bytes: &[u8]) -> Option<WireError> {
 
 pub fn refusals_name_their_reason() {
     // Another protocol is named even when the rest of its Hello is laid out differently.
-    for other in [&[0, 2][..], &[0, 2, 1, 2, 3, 4, 5, 6, 7, 8, 9]] {
+    for other in [&[0, 9][..], &[0, 9, 1, 2, 3, 4, 5, 6, 7, 8, 9]] {
         let outcome = outcome_at_host(frame(other).as_slice());
-        assert_eq!(outcome, Err(WireError::Protocol { theirs: 2 }));
+        assert_eq!(outcome, Err(WireError::Protocol { theirs: 9 }));
     }
     // Bytes left over, an unknown message, a short one, a number too long for its type.
     for bad in [
-        &[2, 0, 0, 0, 0][..],
+        &[2, 0, 0, 0, 0, 0][..],
         &[3],
         &[2, 0],
         &[2, 0xff, 0xff, 0xff, 0, 0],

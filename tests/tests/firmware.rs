@@ -10,7 +10,6 @@ use lipstream_core::model::Model;
 use lipstream_core::parameters::ParameterFrame;
 use lipstream_core::stream::{Settings, Stream};
 use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToDevice, ToHost, encode};
-use lipstream_firmware::settings;
 
 struct Firmware {
     program: PathBuf,
@@ -78,7 +77,7 @@ fn uart_gives_the_hosts_bytes() {
     let firmware = firmware();
     let model = Model::new_checked(&firmware.tables).unwrap();
     let samples = &common::hello()[..];
-    let host = host(&model, settings(Profile::Standard), samples);
+    let host = host(&model, Settings::of(Profile::Standard), samples);
 
     let mut machine = Machine::boot(&firmware.program);
     let mut link = Link::new(Some(model.id()));
@@ -92,7 +91,7 @@ fn uart_gives_the_hosts_bytes() {
     });
 
     assert_same(&frames(&messages), &host);
-    let hello = ToHost::Hello(expected_hello(&model, settings(Profile::Standard)));
+    let hello = ToHost::Hello(expected_hello(&model, Settings::of(Profile::Standard)));
     assert_eq!(messages[0], hello);
     assert_eq!(
         messages.iter().filter(|message| **message == hello).count(),
@@ -131,9 +130,9 @@ fn profiles_and_restarts() {
         let messages = until_status(&mut machine, line, &mut link);
         assert_eq!(
             messages[0],
-            ToHost::Hello(expected_hello(&model, settings(profile)))
+            ToHost::Hello(expected_hello(&model, Settings::of(profile)))
         );
-        assert_same(&frames(&messages), &host(&model, settings(profile), samples));
+        assert_same(&frames(&messages), &host(&model, Settings::of(profile), samples));
     }
     // Start keeps the profile.
     let mut line = bytes(ToDevice::Start);
@@ -142,15 +141,11 @@ fn profiles_and_restarts() {
     let messages = until_status(&mut machine, line, &mut link);
     assert_same(
         &frames(&messages),
-        &host(&model, settings(Profile::Live), samples),
+        &host(&model, Settings::of(Profile::Live), samples),
     );
     let lags = [Profile::Live, Profile::Standard, Profile::Studio]
-        .map(|profile| expected_hello(&model, settings(profile)).lag_samples);
-    // A model with a memory has one look-ahead, the one that it was trained with.
-    assert!(
-        lags.is_sorted() && (lags[0] < lags[2]) != model.is_recurrent(),
-        "{lags:?}"
-    );
+        .map(|profile| expected_hello(&model, Settings::of(profile)).lag_samples);
+    assert!(lags.is_sorted() && lags[0] < lags[2], "{lags:?}");
 }
 
 #[test]
@@ -191,7 +186,7 @@ fn damage_on_the_way_to_the_device_is_counted_and_survived() {
         .collect();
     assert_same(
         &frames(&messages),
-        &host(&model, settings(Profile::Standard), &arrived),
+        &host(&model, Settings::of(Profile::Standard), &arrived),
     );
 }
 
@@ -212,9 +207,14 @@ fn check_on_files(name: &str, firmware: &Firmware) {
     assert_eq!(link.losses(), Losses::default());
     assert_same(
         &frames(&messages),
-        &host(&model, settings(Profile::Standard), &samples),
+        &host(&model, Settings::of(Profile::Standard), &samples),
     );
-    assert_eq!(messages.last(), Some(&ToHost::Status(Status::default())));
+    let (_, narrowed) = common::host_run(&model, Settings::of(Profile::Standard), &samples);
+    let status = Status {
+        narrowed,
+        ..Status::default()
+    };
+    assert_eq!(messages.last(), Some(&ToHost::Status(status)));
     assert!(said.starts_with("stack: "), "{said}");
 }
 

@@ -82,6 +82,7 @@ struct Scratch {
 }
 
 impl FrontEnd {
+    #[inline(always)]
     pub fn new(config: Config) -> Self {
         Self {
             config,

@@ -18,42 +18,80 @@ fn bin(best: LogProb, score: LogProb) -> usize {
 }
 
 /// The joint states of `scores` within `width` of the best, at most `most` (and `N`) of them, as tokens relative to the
-/// best.
+/// best. Whether there were more.
 pub fn prune<const N: usize>(
     scores: &Scores,
     width: LogProb,
     most: usize,
     tokens: &mut heapless::Vec<Token, N>,
-) {
+) -> bool {
     let most = most.clamp(1, N);
     tokens.clear();
     let Some(best) = scores.states().map(|s| scores.get(s)).max() else {
-        return;
+        return false;
     };
     let floor = LogProb::from_q12(best.q12().saturating_sub(width.q12())).max(LogProb::FLOOR);
     let within = scores.states().filter(|s| scores.get(*s) >= floor).count();
-    let (last_bin, mut room) = if within <= most {
-        (N_BINS, 0)
+    let mut door = if within <= most {
+        Door::open(best)
     } else {
-        last_bin(scores, best, floor, most)
+        let values = scores.states().map(|s| scores.get(s));
+        Door::new(best, values.filter(|score| *score >= floor), most)
     };
     for state in scores.states() {
         let score = scores.get(state);
-        if score < floor {
-            continue;
+        if score >= floor && door.lets_in(score) {
+            // There is room: at most `most` are let in.
+            let _ = tokens.push(relative(state, best, score));
         }
-        let bin = bin(best, score);
-        if bin > last_bin {
-            continue;
+    }
+    within > most
+}
+
+/// Lets the best of a number of scores in, whole bins from the best down, of the last bin those that come first.
+pub(super) struct Door {
+    best: LogProb,
+    last_bin: usize,
+    /// Scores of the last bin that still fit.
+    room: usize,
+}
+
+impl Door {
+    /// Lets everything in.
+    fn open(best: LogProb) -> Self {
+        Self {
+            best,
+            last_bin: N_BINS,
+            room: 0,
         }
-        if bin == last_bin {
-            if room == 0 {
-                continue;
+    }
+
+    /// At most `most` of `scores`, of which `best` is the best.
+    pub(super) fn new(best: LogProb, scores: impl Iterator<Item = LogProb>, most: usize) -> Self {
+        let mut counts = [0u16; N_BINS];
+        for score in scores {
+            if let Some(count) = counts.get_mut(bin(best, score)) {
+                *count += 1;
             }
-            room -= 1;
         }
-        // There is room: at most `most` are let through.
-        let _ = tokens.push(relative(state, best, score));
+        let mut room = most;
+        for (last_bin, count) in counts.iter().enumerate() {
+            let count = usize::from(*count);
+            if count > room {
+                return Self { best, last_bin, room };
+            }
+            room -= count;
+        }
+        Self::open(best)
+    }
+
+    pub(super) fn lets_in(&mut self, score: LogProb) -> bool {
+        let bin = bin(self.best, score);
+        if bin == self.last_bin && self.room > 0 {
+            self.room -= 1;
+            return true;
+        }
+        bin < self.last_bin
     }
 }
 
@@ -63,28 +101,6 @@ fn relative(state: JointState, best: LogProb, score: LogProb) -> Token {
         state,
         score: LogProb::from_q12(score.q12().saturating_sub(best.q12())).to_score(),
     }
-}
-
-/// The bin that does not fit as a whole, and how many of it do.
-fn last_bin(scores: &Scores, best: LogProb, floor: LogProb, most: usize) -> (usize, usize) {
-    let mut counts = [0u16; N_BINS];
-    for state in scores.states() {
-        let score = scores.get(state);
-        if score >= floor
-            && let Some(count) = counts.get_mut(bin(best, score))
-        {
-            *count += 1;
-        }
-    }
-    let mut room = most;
-    for (bin, count) in counts.iter().enumerate() {
-        let count = usize::from(*count);
-        if count > room {
-            return (bin, room);
-        }
-        room -= count;
-    }
-    (N_BINS, 0)
 }
 
 #[cfg(test)]

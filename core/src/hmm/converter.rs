@@ -14,6 +14,7 @@ use crate::mge::occupancy::Occupancy;
 use crate::model::Model;
 use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
+use crate::wire::Profile;
 use crate::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC};
 
 /// Hops that an observation comes after its statics.
@@ -30,8 +31,48 @@ pub struct Settings {
     pub acoustic_scale: Option<u32>,
     /// Whether three frames are averaged.
     pub average: Option<bool>,
-    /// Active joint states, at most; held to the stream's room. It bounds the work of the worst frame.
+    /// Hops of future that a model with a memory waits for; held to its latest tap. Where that reaches further, the newest
+    /// frame stands for those that are not known yet. Other models have one look-ahead.
+    pub look_ahead: Option<u16>,
+    /// Active joint states, at most; held to the stream's room. With [`Settings::phones`] it bounds the work of the worst
+    /// frame.
     pub most: Option<u16>,
+    /// Phones whose states a model with a memory evaluates in one frame, at most and at least one.
+    pub phones: Option<u16>,
+}
+
+impl Settings {
+    /// What a profile means (DESIGN section 5). Its delay is [`Converter::delay_hops`].
+    pub const fn of(profile: Profile) -> Self {
+        let own = Self {
+            lag: None,
+            beam: None,
+            acoustic_scale: None,
+            average: None,
+            look_ahead: None,
+            most: None,
+            phones: None,
+        };
+        match profile {
+            // 30 ms and half a window; without a memory the least delay that observations with ΔΔ and the maps allow.
+            Profile::Live => Self {
+                lag: Some(0),
+                average: Some(false),
+                look_ahead: Some(3),
+                ..own
+            },
+            // 60 ms and half a window; without a memory as the model was made.
+            Profile::Standard => Self {
+                look_ahead: Some(6),
+                ..own
+            },
+            // All that the model can use.
+            Profile::Studio => Self {
+                lag: Some(u16::MAX),
+                ..own
+            },
+        }
+    }
 }
 
 /// What the gates of a frame were, while its context is still to come.
@@ -47,18 +88,47 @@ const MAX_WAITING: usize = 18;
 /// A frame before the moving average.
 type Raw = (heapless::Vec<i16, MAX_PARAMETERS>, [u8; N_VISEMES]);
 
+/// [`Settings`] with the model's own in place of what they leave open.
+#[derive(Clone, Copy, Debug)]
+struct Run {
+    lag: usize,
+    /// Hops of future that are waited for.
+    ahead: usize,
+    average: bool,
+    beam: LogProb,
+    acoustic_scale: u32,
+}
+
+impl Run {
+    fn of<const FRAMES: usize>(model: &Model, settings: &Settings) -> Self {
+        let lag = settings.lag.map_or(model.lag(), usize::from);
+        let own = model.look_ahead();
+        Self {
+            lag: lag.min(FRAMES.saturating_sub(1)),
+            ahead: match settings.look_ahead {
+                Some(hops) if model.is_recurrent() => usize::from(hops).min(own),
+                _ => own,
+            },
+            average: settings.average.unwrap_or(model.average()),
+            beam: settings.beam.unwrap_or(model.beam()),
+            acoustic_scale: settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
+        }
+    }
+}
+
 /// The state of one stream. `TOKENS` bounds the active joint states, `FRAMES` − 1 the lag.
 #[derive(Clone, Debug)]
 pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
     model: &'m Model<'m>,
-    lag: usize,
-    average: bool,
+    run: Run,
     follower: Follower<'m, TOKENS, FRAMES>,
     history: History,
     /// Of a model with a memory.
     means: Means,
     memory: Memory,
     waiting: heapless::Deque<Gated, MAX_WAITING>,
+    /// Whether the memory holds what stands before the first frame, or more.
+    begun: bool,
     /// Frames gated, frames mapped, frames given out.
     gated: u32,
     mapped: u32,
@@ -71,38 +141,39 @@ pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
 }
 
 impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES> {
+    /// One literal, inlined into the place that it is made for: the state is large, and copies of it cost a device its stack.
+    #[inline(always)]
     pub fn new(model: &'m Model<'m>, settings: Settings) -> Self {
-        let mut new = Self {
+        let run = Run::of::<FRAMES>(model, &settings);
+        Self {
             model,
-            lag: 0,
-            average: false,
-            follower: Follower::new(model, LogProb::ONE, 0),
+            run,
+            follower: Follower::new(
+                model,
+                run.beam,
+                run.acoustic_scale,
+                settings.most,
+                settings.phones,
+            ),
             history: History::new(),
             means: Means::new(),
             memory: Memory::new(),
             waiting: heapless::Deque::new(),
+            begun: false,
             gated: 0,
             mapped: 0,
             given: 0,
             mapped_frames: heapless::Deque::new(),
             before: heapless::Vec::new(),
             ended: false,
-        };
-        new.set(settings);
-        new
+        }
     }
 
     /// Other settings; starts a new stream.
     pub fn set(&mut self, settings: Settings) {
-        let model = self.model;
-        let lag = settings.lag.map_or(model.lag(), usize::from);
-        self.lag = lag.min(FRAMES.saturating_sub(1));
-        self.average = settings.average.unwrap_or(model.average());
-        self.follower.set(
-            settings.beam.unwrap_or(model.beam()),
-            settings.acoustic_scale.unwrap_or(model.acoustic_scale()),
-        );
-        self.follower.set_most(settings.most);
+        self.run = Run::of::<FRAMES>(self.model, &settings);
+        self.follower.set(self.run.beam, self.run.acoustic_scale);
+        self.follower.set_bounds(settings.most, settings.phones);
         self.reset();
     }
 
@@ -111,7 +182,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         self.follower.reset();
         self.history.reset();
         self.means.reset();
-        self.memory.reset(self.model);
+        self.begun = false;
         self.waiting.clear();
         self.mapped_frames.clear();
         self.before.clear();
@@ -123,20 +194,25 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
 
     /// Lag in force, hops.
     pub fn lag(&self) -> usize {
-        self.lag
+        self.run.lag
     }
 
     /// Hops between a frame and the hop that brings its parameters out.
     pub fn delay_hops(&self) -> usize {
         if self.model.is_recurrent() {
-            return self.model.look_ahead();
+            return self.run.ahead;
         }
-        (self.lag + DELTA_HOPS).max(self.model.look_ahead()) + usize::from(self.average)
+        (self.run.lag + DELTA_HOPS).max(self.run.ahead) + usize::from(self.run.average)
     }
 
     /// Active joint states of the newest frame.
     pub fn active(&self) -> usize {
         self.follower.active().len()
+    }
+
+    /// Frames since the beginning in which the beam was narrowed, as more than the bounds of [`Settings`] would have stayed.
+    pub fn narrowed(&self) -> u32 {
+        self.follower.narrowed()
     }
 
     /// One hop: the next frame's statics (None once the sound has ended), the next observation if there is one yet,
@@ -172,16 +248,20 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
             None => self.ended = true,
         }
         let ahead = self.history.count().wrapping_sub(self.given) as usize;
-        if ahead == 0 || (ahead <= model.look_ahead() && !self.ended) {
+        if ahead == 0 || (ahead <= self.run.ahead && !self.ended) {
             return None;
         }
         if self.ended {
             // The look-ahead of this frame reaches behind the end.
-            for _ in ahead..=model.look_ahead() {
-                if self.means.heard().wrapping_sub(self.given) as usize <= model.look_ahead() {
+            for _ in ahead..=self.run.ahead {
+                if self.means.heard().wrapping_sub(self.given) as usize <= self.run.ahead {
                     self.means.push_last(model);
                 }
             }
+        }
+        if !self.begun {
+            self.memory.reset(model);
+            self.begun = true;
         }
         let z = project(model, &self.history, &self.means, self.given);
         let z = z.get(..model.shape().inputs).unwrap_or(&[]);
@@ -226,7 +306,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
     fn gate(&mut self) {
         let known = self.follower.count().wrapping_sub(self.gated) as usize;
         let all = self.ended && self.follower.count() == self.history.count();
-        if known == 0 || (known <= self.lag && !all) || self.waiting.is_full() {
+        if known == 0 || (known <= self.run.lag && !all) || self.waiting.is_full() {
             return;
         }
         let occupancy = self.follower.occupancies(known - 1);
@@ -241,7 +321,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
     /// Maps the next frame, once its gates and its context are there.
     fn map(&mut self) {
         let ahead = self.history.count().wrapping_sub(self.mapped) as usize;
-        if self.mapped_frames.is_full() || (ahead <= self.model.look_ahead() && !self.ended) {
+        if self.mapped_frames.is_full() || (ahead <= self.run.ahead && !self.ended) {
             return;
         }
         let Some(gated) = self.waiting.pop_front() else {
@@ -257,7 +337,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
     /// The next frame, averaged with its neighbours.
     fn give(&mut self) -> Option<ParameterFrame> {
         let last = self.ended && self.given.wrapping_add(1) == self.history.count();
-        let (values, viseme_weights) = if self.average {
+        let (values, viseme_weights) = if self.run.average {
             self.average(last)?
         } else {
             self.mapped_frames.pop_front()?

@@ -4,13 +4,14 @@
 //! Per frame: probability moves along the arcs (those that bring less than the beam's width below the best are left
 //! out before any density is evaluated), the audio states that are reached are evaluated once each, the beam prunes.
 //! Should the beam let no arc through at all, the best token stays where it is.
-use super::beam::prune;
+use super::beam::{Door, prune};
 use super::density::{Scaled, log_likelihood};
 use super::lag::{Frame, MAX_AUDIO_STATES, Window};
 use super::token::{PhonesByViseme, Scores, Token, begin, begin_anywhere, forward};
+use super::transition::N_PAIRS;
 use crate::N_OBSERVATION;
 use crate::logmath::{FRACTION_BITS, LogProb};
-use crate::mge::rows;
+use crate::mge::rows::{self, Inputs};
 use crate::model::field::{Matrix, N_VISUAL_STATES, limit};
 use crate::model::{Model, Rows};
 
@@ -20,8 +21,11 @@ pub struct Follower<'m, const TOKENS: usize, const FRAMES: usize> {
     model: &'m Model<'m>,
     beam: LogProb,
     acoustic_scale: u32,
-    /// Active joint states, at most.
+    /// Active joint states, and phones evaluated in a frame of a model with a memory, at most.
     most: usize,
+    most_phones: usize,
+    /// Frames in which a bound held something back.
+    narrowed: u32,
     phones: PhonesByViseme,
     scores: Scores,
     window: Window<TOKENS, FRAMES>,
@@ -29,13 +33,24 @@ pub struct Follower<'m, const TOKENS: usize, const FRAMES: usize> {
 }
 
 impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> {
-    /// `beam` as a width, held to 16384 bits; `acoustic_scale` in Q16.16, held to 4.
-    pub fn new(model: &'m Model<'m>, beam: LogProb, acoustic_scale: u32) -> Self {
+    /// `beam` as a width, held to 16384 bits; `acoustic_scale` in Q16.16, held to 4; bounds as in
+    /// [`Follower::set_bounds`].
+    #[inline(always)]
+    pub fn new(
+        model: &'m Model<'m>,
+        beam: LogProb,
+        acoustic_scale: u32,
+        most: Option<u16>,
+        phones: Option<u16>,
+    ) -> Self {
+        let (most, most_phones) = Self::bounds(model, most, phones);
         Self {
             model,
             beam: held_beam(beam),
             acoustic_scale: acoustic_scale.min(limit::ACOUSTIC_SCALE),
-            most: Self::own_most(model),
+            most,
+            most_phones,
+            narrowed: 0,
             phones: PhonesByViseme::new(model),
             scores: Scores::new(),
             window: Window::new(),
@@ -50,11 +65,18 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         self.reset();
     }
 
-    /// Another bound on the active joint states, held to `TOKENS`; `None`: the kind of model's own.
-    pub fn set_most(&mut self, most: Option<u16>) {
-        self.most = most
-            .map_or(Self::own_most(self.model), usize::from)
-            .clamp(1, TOKENS);
+    /// Other bounds on the active joint states, held to `TOKENS`, and on the phones evaluated in a frame; `None`: the kind
+    /// of model's own.
+    pub fn set_bounds(&mut self, most: Option<u16>, phones: Option<u16>) {
+        (self.most, self.most_phones) = Self::bounds(self.model, most, phones);
+    }
+
+    fn bounds(model: &Model, most: Option<u16>, phones: Option<u16>) -> (usize, usize) {
+        let most = most.map_or(Self::own_most(model), usize::from);
+        (
+            most.clamp(1, TOKENS),
+            phones.map_or(MOST_PHONES, usize::from).max(1),
+        )
     }
 
     fn own_most(model: &Model) -> usize {
@@ -70,6 +92,12 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         self.scores.clear();
         self.window.reset();
         self.count = 0;
+        self.narrowed = 0;
+    }
+
+    /// Frames since the beginning in which a bound narrowed the beam.
+    pub fn narrowed(&self) -> u32 {
+        self.narrowed
     }
 
     /// Observations followed so far, modulo 2³².
@@ -96,7 +124,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
-        prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        let cut = prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        self.narrowed = self.narrowed.saturating_add(u32::from(cut));
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
@@ -108,8 +137,10 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         let Some(frame) = self.window.advance() else {
             return;
         };
+        let fewer = keep_likeliest(&mut self.scores, self.most_phones);
         emit_inputs(self.model, z, mouth, &mut self.scores);
-        prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        let cut = prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        self.narrowed = self.narrowed.saturating_add(u32::from(fewer || cut));
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
     }
@@ -120,7 +151,7 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         let model = self.model;
         let tokens = self.window.newest();
         if tokens.is_empty() && model.is_recurrent() {
-            begin_anywhere(model, &mut self.scores);
+            begin_anywhere(model, self.most_phones, &mut self.scores);
         } else if tokens.is_empty() {
             begin(model, &mut self.scores);
         } else {
@@ -136,8 +167,39 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
     }
 }
 
-/// Active joint states of a model with a memory, at most: this bounds the work of its worst frame.
-const MOST_SHARP: usize = 96;
+/// Active joint states of a model with a memory, and phones evaluated in one of its frames, at most: they bound the work of
+/// the worst frame.
+pub const MOST_SHARP: usize = 80;
+const MOST_PHONES: usize = 32;
+/// Joint states that are evaluated whatever their phones: as many as a first frame has of [`MOST_PHONES`].
+const FEW_STATES: usize = MOST_PHONES * N_PAIRS;
+
+/// Takes the joint states of all but the likeliest `most` phones out of `scores`; of equally likely ones the first stay.
+/// Whether there were more.
+fn keep_likeliest(scores: &mut Scores, most: usize) -> bool {
+    // Most frames end here.
+    if scores.count() <= FEW_STATES {
+        return false;
+    }
+    let mut best = [LogProb::NEVER; limit::PHONES];
+    scores.for_each(|state, score| {
+        if let Some(best) = best.get_mut(state.phone()) {
+            *best = (*best).max(*score);
+        }
+    });
+    let reached = || best.iter().copied().filter(|b| !b.is_never());
+    let Some(first) = reached().max().filter(|_| reached().count() > most) else {
+        return false;
+    };
+    let mut door = Door::new(first, reached(), most);
+    let keep = best.map(|best| !best.is_never() && door.lets_in(best));
+    scores.for_each(|state, score| {
+        if !keep.get(state.phone()).is_some_and(|keep| *keep) {
+            *score = LogProb::NEVER;
+        }
+    });
+    true
+}
 
 /// Bits below the beam that an arc may bring before the sound of a model with a memory has been heard: its emissions
 /// are sharp, so that the best path may begin far behind.
@@ -178,11 +240,12 @@ fn emit<const TOKENS: usize>(
 /// Adds the log emissions of a model with a memory to every score.
 fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) {
     let audio_rows = model.rows(Matrix::AUDIO, z.len());
-    let visual_rows = model.rows(Matrix::VISUAL, model.shape().fed_back());
+    let visual_rows = model.rows(Matrix::VISUAL, mouth.len());
+    let (z, mouth) = (Inputs::new(z), Inputs::new(mouth));
     // `NEVER`: not asked for yet.
     let mut audio_logs = [LogProb::NEVER; MAX_AUDIO_STATES];
     let mut visual_logs = [LogProb::NEVER; N_VISUAL_STATES];
-    let evaluate = |log: &mut LogProb, rows: &Rows, state: usize, inputs: &[i16]| {
+    let evaluate = |log: &mut LogProb, rows: &Rows, state: usize, inputs: &Inputs| {
         if log.is_never() {
             let value = rows::row(rows, state, inputs);
             *log = LogProb::from_q12(value.clamp(-EMISSION_LIMIT, EMISSION_LIMIT));
@@ -190,13 +253,16 @@ fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) {
         *log
     };
     scores.for_each(|state, score| {
+        if score.is_never() {
+            return;
+        }
         let audio = state.audio();
         let visual = state.visual(model.viseme(state.phone()));
         let (Some(heard), Some(seen)) = (audio_logs.get_mut(audio), visual_logs.get_mut(visual)) else {
             return;
         };
-        let heard = evaluate(heard, &audio_rows, audio, z);
-        let seen = evaluate(seen, &visual_rows, visual, mouth);
+        let heard = evaluate(heard, &audio_rows, audio, &z);
+        let seen = evaluate(seen, &visual_rows, visual, &mouth);
         *score = score.times(heard).times(seen);
     });
 }

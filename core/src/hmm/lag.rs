@@ -43,6 +43,7 @@ pub struct Window<const TOKENS: usize, const FRAMES: usize> {
 }
 
 impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
+    #[inline(always)]
     pub const fn new() -> Self {
         Self {
             frames: [const { Frame::EMPTY }; FRAMES],

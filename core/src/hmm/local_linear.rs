@@ -8,6 +8,7 @@ use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
 use crate::model::Model;
 use crate::model::field::{INPUT_FRACTION_BITS, SUM_FRACTION_BITS, limit};
 use crate::parameters::MAX_PARAMETERS;
+use crate::projection;
 
 /// Statics that are kept: more than 40 before a frame and 16 after it.
 const RING: usize = 64;
@@ -21,6 +22,7 @@ pub struct History {
 }
 
 impl History {
+    #[inline(always)]
     pub const fn new() -> Self {
         Self {
             ring: [[0; N_STATIC]; RING],
@@ -55,15 +57,7 @@ impl History {
         for (to, tap) in stack.as_chunks_mut::<N_STATIC>().0.iter_mut().zip(model.taps()) {
             *to = self.at(i64::from(frame) + i64::from(tap));
         }
-        let mut x = [0; limit::INPUTS];
-        for (to, row) in x.iter_mut().zip(model.projection()) {
-            // 416 products of 30 bits: below 2³⁹.
-            let sum = dot(row.weights.iter(), &stack);
-            *to = saturate_i16(saturate_i32(
-                round_shift_i64(sum, row.shift) - i64::from(row.offset),
-            ));
-        }
-        x
+        projection::project(model, stack.get(..model.shape().context()).unwrap_or(&[]))
     }
 }
 
@@ -75,7 +69,7 @@ impl Default for History {
 
 /// Σ weightᵢ·inputᵢ
 #[inline]
-pub(crate) fn dot(weights: impl Iterator<Item = i16>, inputs: &[i16]) -> i64 {
+fn dot(weights: impl Iterator<Item = i16>, inputs: &[i16]) -> i64 {
     weights
         .zip(inputs)
         .map(|(w, u)| i64::from(w) * i64::from(*u))

@@ -3,6 +3,7 @@
 //!
 //! Tokens stand in increasing order of their joint state, so those of one phone are side by side; what leaves a
 //! phone is added up first and spread over the bigram once.
+use super::beam::Door;
 use super::transition::{
     AUDIO, BOTH, JointState, MAX_JOINT_STATES, MOUTH_LEADS, MOUTH_SLOT, N_CHOICES, N_EMITTING, N_PAIRS,
     PHONE_STATES, SOUND_LEADS, SOUND_SLOT, STAY, VISUAL, pair,
@@ -29,6 +30,7 @@ pub struct Scores {
 }
 
 impl Scores {
+    #[inline(always)]
     pub const fn new() -> Self {
         Self {
             value: [LogProb::NEVER; MAX_JOINT_STATES],
@@ -66,6 +68,12 @@ impl Scores {
         } else {
             *to = to.plus(value);
         }
+    }
+
+    /// Number of joint states that are set.
+    #[inline]
+    pub fn count(&self) -> usize {
+        self.set.iter().map(|word| word.count_ones() as usize).sum()
     }
 
     /// Joint states that are set, in increasing order.
@@ -212,10 +220,16 @@ const PAIRS_LOG: LogProb = LogProb::from_q12(15_157);
 
 /// Adds to `scores` what each joint state begins with in a model with a memory: it was trained on pieces of speech, and
 /// begins anywhere inside a phone.
-pub fn begin_anywhere(model: &Model, scores: &mut Scores) {
-    for (phone, initial) in model.initial().iter().enumerate() {
-        let initial = LogProb::from_table(initial).over(PAIRS_LOG);
-        if !initial.is_never() {
+pub fn begin_anywhere(model: &Model, most: usize, scores: &mut Scores) {
+    let initial = || model.initial().iter().map(LogProb::from_table);
+    let Some(best) = initial().max() else {
+        return;
+    };
+    let mut door = Door::new(best, initial(), most);
+    for (phone, initial) in initial().enumerate() {
+        let stays = door.lets_in(initial);
+        let initial = initial.over(PAIRS_LOG);
+        if stays && !initial.is_never() {
             for pair in 0..N_PAIRS {
                 scores.add(JointState::new(phone, pair), initial);
             }

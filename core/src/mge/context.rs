@@ -3,13 +3,11 @@
 //! m_n = m_{n−1} + (x_n − m_{n−1}) / 2^shift, m_0 = x_0. Before the first frame stands the first, after the last one the
 //! last.
 use crate::N_STATIC;
-use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
-use crate::hmm::local_linear::{History, dot};
+use crate::fixed::saturate_i16;
+use crate::hmm::local_linear::History;
 use crate::model::Model;
 use crate::model::field::limit;
-
-/// Largest number of numbers in a context.
-pub const MAX_CONTEXT: usize = N_STATIC * (limit::TAPS + limit::MEANS);
+use crate::projection::{self, MAX_CONTEXT};
 
 /// Bits below a static's LSB that the means keep.
 const MEAN_FRACTION_BITS: u32 = 8;
@@ -91,13 +89,5 @@ pub fn project(model: &Model, history: &History, means: &Means, frame: u32) -> [
     for (to, from) in places.iter_mut().zip(taps.chain(means)) {
         *to = from;
     }
-    let mut z = [0; limit::INPUTS];
-    for (to, row) in z.iter_mut().zip(model.projection()) {
-        // 494 products of 30 bits: below 2³⁹.
-        let sum = dot(row.weights.iter(), &context);
-        *to = saturate_i16(saturate_i32(
-            round_shift_i64(sum, row.shift) - i64::from(row.offset),
-        ));
-    }
-    z
+    projection::project(model, context.get(..model.shape().context()).unwrap_or(&[]))
 }

@@ -3,8 +3,8 @@
 //! w = Σγ G, r = Σγ R, λ = Σγ Λ over both chains' states; h ← h + λ∘(V_d z ∘ w + r − h);
 //! ŷ = W₀ z + b₀ + Σγ B + O h.
 use super::rate::rate;
-use super::rows;
-use crate::fixed::{round_shift, saturate_i16, saturate_i32};
+use super::rows::{self, Inputs};
+use crate::fixed::{mul_high_rounded, round_shift, saturate_i16};
 use crate::hmm::gates::Gates;
 use crate::model::field::{Matrix, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, limit};
 use crate::model::{Gate, Model};
@@ -24,7 +24,7 @@ pub struct Memory {
     mouth: [i16; MAX_PARAMETERS],
 }
 
-/// Sums over the gates of a frame, Q11.20; rates Q0.16.
+/// Sums over the gates of a frame, Q11.20; rates Q0.32.
 struct Sums {
     gain: [i32; limit::MEMORY],
     drive: [i32; limit::MEMORY],
@@ -34,31 +34,49 @@ struct Sums {
 
 impl Sums {
     fn add(&mut self, gate: &Gate, weight: u32) {
-        let [gain, drive, offset] = gate.scale;
-        add_scaled(&mut self.gain, gate.gain, gain, weight);
-        add_scaled(&mut self.drive, gate.drive, drive, weight);
-        add_scaled(&mut self.offset, gate.offset, offset, weight);
-        for (to, code) in self.rate.iter_mut().zip(gate.rate) {
-            // 2¹⁶ · 2¹⁶ just fits: a rate is below 2¹⁶.
-            *to += (weight * rate(*code)) >> 16;
-        }
+        let [gain, drive, offset] = gate.scale.map(|scale| unit(scale, weight));
+        each(&mut self.gain, gate.gain, |to, code| {
+            to + gain * i32::from(code as i8)
+        });
+        each(&mut self.drive, gate.drive, |to, code| {
+            to + drive * i32::from(code as i8)
+        });
+        each(&mut self.offset, gate.offset, |to, code| {
+            to + offset * i32::from(code as i8)
+        });
+        // The weights of the chain that owns the rates add up to 2¹⁶ at most, a rate is below 2¹⁶: below 2³².
+        each(&mut self.rate, gate.rate, |to, code| {
+            to.wrapping_add(weight * rate(code))
+        });
     }
 }
 
-/// to += weight · scale · codes. A sum beyond ±2048 is held there.
+/// weight · scale, what a code is worth: within ±2²⁰, so that twelve gates of codes up to 2⁷ stay below 2³¹.
 #[inline]
-fn add_scaled(to: &mut [i32], codes: &[u8], scale: i32, weight: u32) {
+fn unit(scale: i32, weight: u32) -> i32 {
     const SHIFT: u32 = 16 + SCALE_FRACTION_BITS - SUM_FRACTION_BITS;
     // 2¹⁷ · 2³¹, shifted down to 2²⁸.
     let unit = ((i64::from(weight) * i64::from(scale)) >> SHIFT) as i32;
-    // Codes reach 2⁷: with units up to 2²⁰ twelve gates stay below 2³¹.
-    let unit = unit.clamp(-(1 << 20), 1 << 20);
-    for (to, code) in to.iter_mut().zip(codes) {
-        *to += unit * i32::from(*code as i8);
+    unit.clamp(-(1 << 20), 1 << 20)
+}
+
+/// Replaces every number by what `new` makes of it and its code, four at a time.
+#[inline(always)]
+fn each<T: Copy>(to: &mut [T], codes: &[u8], new: impl Fn(T, u8) -> T) {
+    let (codes, codes_rest) = codes.as_chunks::<4>();
+    let (fours, to_rest) = to
+        .split_at_mut_checked(4 * codes.len())
+        .unwrap_or((&mut [], &mut []));
+    for (to, [a, b, c, d]) in fours.as_chunks_mut::<4>().0.iter_mut().zip(codes) {
+        *to = [new(to[0], *a), new(to[1], *b), new(to[2], *c), new(to[3], *d)];
+    }
+    for (to, code) in to_rest.iter_mut().zip(codes_rest) {
+        *to = new(*to, *code);
     }
 }
 
 impl Memory {
+    #[inline(always)]
     pub const fn new() -> Self {
         Self {
             h: [0; limit::MEMORY],
@@ -101,7 +119,8 @@ impl Memory {
             sums.add(&model.visual_gate(state), weight);
         }
         let memory = &mut self.h;
-        rows::product(&model.rows(Matrix::DRIVE, z.len()), z, |i, d| {
+        let heard = Inputs::new(z);
+        rows::product(&model.blocks(Matrix::DRIVE, z.len()), &heard, |i, d| {
             let (Some(h), Some(w), Some(r), Some(rate)) = (
                 memory.get_mut(i),
                 sums.gain.get(i),
@@ -110,28 +129,28 @@ impl Memory {
             ) else {
                 return;
             };
-            // Q10 · Q20 to Q16; 2³¹ · 2³¹.
-            const DOWN: u32 = SIGNAL_FRACTION_BITS + SUM_FRACTION_BITS - MEMORY_FRACTION_BITS;
-            let driven = (i64::from(d) * i64::from(*w)) >> DOWN;
-            let target = driven + i64::from(*r >> (SUM_FRACTION_BITS - MEMORY_FRACTION_BITS));
-            let way = i64::from(saturate_i32(target - i64::from(*h)));
-            *h = saturate_i32(i64::from(*h) + ((way * i64::from((*rate).min(1 << 16))) >> 16));
+            // Q10 · Q20 to Q14, as one product of a word and a halfword: below 2¹⁵ · 2³¹ / 2¹⁶.
+            let driven = ((i64::from(saturate_i16(d)) * i64::from(*w)) >> 16) as i32;
+            let driven = driven.clamp(-(1 << 26), 1 << 26) << 2;
+            // Both below 2²⁸, h within as much: it never leaves where its targets are.
+            let target = driven + (*r >> (SUM_FRACTION_BITS - MEMORY_FRACTION_BITS));
+            let way = target - *h;
+            *h += mul_high_rounded(way, (*rate >> 1) as i32) << 1;
         });
         let mut read = [0; limit::MEMORY];
         for (to, h) in read.iter_mut().zip(&self.h) {
-            // |h| < 2³¹ leaves room for half a step only just: held first.
-            let h = (*h).clamp(-(1 << 30), 1 << 30);
-            *to = saturate_i16(round_shift(h, MEMORY_FRACTION_BITS - SIGNAL_FRACTION_BITS));
+            *to = saturate_i16(round_shift(*h, MEMORY_FRACTION_BITS - SIGNAL_FRACTION_BITS));
         }
         let shape = model.shape();
         let read = read.get(..shape.memory).unwrap_or(&[]);
         let mut out = [0i32; MAX_PARAMETERS];
-        rows::product(&model.rows(Matrix::OUTPUT, z.len()), z, |i, value| {
+        rows::product(&model.blocks(Matrix::OUTPUT, z.len()), &heard, |i, value| {
             if let Some(to) = out.get_mut(i) {
                 *to = value;
             }
         });
-        rows::product(&model.rows(Matrix::MEMORY, shape.memory), read, |i, value| {
+        let read = Inputs::new(read);
+        rows::product(&model.blocks(Matrix::MEMORY, shape.memory), &read, |i, value| {
             if let (Some(to), Some(offset)) = (out.get_mut(i), sums.offset.get(i)) {
                 let offset = offset >> (SUM_FRACTION_BITS - SIGNAL_FRACTION_BITS);
                 *to = to.saturating_add(value).saturating_add(offset);

@@ -1,7 +1,12 @@
 //! Products of i8 matrices with 16-bit vectors.
-use crate::fixed::{round_shift_i64, saturate_i32};
-use crate::model::Rows;
-use crate::model::field::SCALE_FRACTION_BITS;
+//!
+//! A weight w is stored as w + 128, so that two of a word's four weights become two halfwords by one AND, and a product of
+//! halfwords with addition is one instruction on Cortex-M4; 128·Σinput is taken off at the start. Two layouts: row by row
+//! (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of which all
+//! are wanted and share a walk through the inputs, [`product`].
+use crate::fixed::{mul_high_rounded, round_shift_i64, saturate_i32};
+use crate::model::field::{BLOCK, SCALE_FRACTION_BITS, limit};
+use crate::model::{Blocks, Rows};
 
 /// bias + scale·sum / 2²⁴, rounded; held to 32 bits.
 #[inline]
@@ -11,78 +16,133 @@ fn scaled(sum: i32, scale: i32, bias: i32) -> i32 {
     saturate_i32(round_shift_i64(product, SCALE_FRACTION_BITS) + i64::from(bias))
 }
 
-/// Products that a loop makes at a time, so that loads have constant offsets.
-const STEP: usize = 8;
+/// Were the mask of every other byte a constant to the compiler, it would take the bytes out one by one instead.
+#[inline(always)]
+fn mask() -> u32 {
+    core::hint::black_box(0x00ff_00ff)
+}
 
-/// Σ weight·input. At most 494 products (32 taps and 6 means of 13) of 2⁷ · 2¹⁵: below 2³¹.
-#[inline]
-fn dot(weights: &[u8], inputs: &[i16]) -> i32 {
-    let (chunks, rest) = weights.as_chunks::<STEP>();
-    let (inputs, left) = inputs.as_chunks::<STEP>();
-    let mut sum = 0;
-    for (w, u) in chunks.iter().zip(inputs) {
-        for i in 0..STEP {
-            sum += i32::from(w[i] as i8) * i32::from(u[i]);
-        }
-    }
-    for (w, u) in rest.iter().zip(left) {
-        sum += i32::from(*w as i8) * i32::from(*u);
-    }
-    sum
+/// Four products more, modulo 2³².
+#[inline(always)]
+fn four(sum: i32, weights: &[u8; BLOCK], [even, odd]: &[u32; 2], mask: u32) -> i32 {
+    let word = u32::from_le_bytes(*weights);
+    let sum = halves(sum, word & mask, *even);
+    halves(sum, word.rotate_right(8) & mask, *odd)
 }
 
 /// One row of the product.
 #[inline]
-pub fn row(rows: &Rows, row: usize, inputs: &[i16]) -> i32 {
-    let sum = dot(rows.weights(row, 1), inputs);
+pub fn row(rows: &Rows, row: usize, inputs: &Inputs) -> i32 {
+    let sum = dot_row(rows.weights(row), inputs.words(), inputs.start);
     scaled(sum, rows.scale(row), rows.bias(row))
 }
 
-/// All rows of the product, one call of `out(row, value)` each. `inputs` has as many numbers as the matrix has columns.
-///
-/// Four rows share a walk through the inputs, so that an input is loaded once for four products.
+/// Fours of products that are unrolled.
+const STEP: usize = 4;
+
+/// Σ weight·input of a row, below 2³¹ as in [`dot_block`].
 #[inline]
-pub fn product(rows: &Rows, inputs: &[i16], mut out: impl FnMut(usize, i32)) {
-    let blocks = rows.len() / 4;
-    for block in 0..blocks {
-        let first = 4 * block;
-        let sums = dot_four(rows.weights(first, 4), rows.columns, inputs);
-        for (i, sum) in sums.into_iter().enumerate() {
-            out(
-                first + i,
-                scaled(sum, rows.scale(first + i), rows.bias(first + i)),
-            );
-        }
+fn dot_row(weights: &[[u8; BLOCK]], inputs: &[[u32; 2]], start: i32) -> i32 {
+    let mask = mask();
+    let (steps, rest) = weights.as_chunks::<STEP>();
+    let (inputs, left) = inputs.as_chunks::<STEP>();
+    let mut sum = start;
+    for (weights, inputs) in steps.iter().zip(inputs) {
+        sum = dot_step(sum, weights, inputs, mask);
     }
-    for r in 4 * blocks..rows.len() {
-        out(r, row(rows, r, inputs));
+    for (weights, inputs) in rest.iter().zip(left) {
+        sum = four(sum, weights, inputs, mask);
+    }
+    sum
+}
+
+/// Out of line, so that its registers are its own and all its addresses constant offsets.
+#[inline(never)]
+fn dot_step(sum: i32, weights: &[[u8; BLOCK]; STEP], inputs: &[[u32; 2]; STEP], mask: u32) -> i32 {
+    let [a, b, c, d] = weights;
+    let sum = four(sum, a, &inputs[0], mask);
+    let sum = four(sum, b, &inputs[1], mask);
+    let sum = four(sum, c, &inputs[2], mask);
+    four(sum, d, &inputs[3], mask)
+}
+
+/// The largest number of columns of a matrix in blocks.
+const MAX_COLUMNS: usize = if limit::MEMORY > limit::INPUTS {
+    limit::MEMORY
+} else {
+    limit::INPUTS
+};
+
+/// A vector as [`product`] takes it.
+pub struct Inputs {
+    /// u₀ and u₂, then u₁ and u₃ of every four inputs as halfwords of a word; zeros behind the last.
+    words: [[u32; 2]; MAX_COLUMNS.div_ceil(BLOCK)],
+    fours: usize,
+    /// −128·Σu, modulo 2³².
+    start: i32,
+}
+
+impl Inputs {
+    /// Inputs beyond the device's largest vector are left out.
+    pub fn new(inputs: &[i16]) -> Self {
+        let mut new = Self {
+            words: [[0; 2]; MAX_COLUMNS.div_ceil(BLOCK)],
+            fours: inputs.len().div_ceil(BLOCK),
+            start: 0,
+        };
+        // 256 numbers of 15 bits and 7 bits more: below 2³¹.
+        let mut sum = 0i32;
+        let (fours, rest) = inputs.as_chunks::<BLOCK>();
+        let mut last = [0; BLOCK];
+        for (to, from) in last.iter_mut().zip(rest) {
+            *to = *from;
+        }
+        for (to, [a, b, c, d]) in new.words.iter_mut().zip(fours.iter().chain([&last])) {
+            let halves = |low: i16, high: i16| u32::from(low as u16) | u32::from(high as u16) << 16;
+            *to = [halves(*a, *c), halves(*b, *d)];
+            sum += i32::from(*a) + i32::from(*b) + i32::from(*c) + i32::from(*d);
+        }
+        new.start = sum.wrapping_mul(-128);
+        new
+    }
+
+    #[inline]
+    fn words(&self) -> &[[u32; 2]] {
+        self.words.get(..self.fours).unwrap_or(&[])
     }
 }
 
+/// sum + low·low + high·high of signed halfwords, modulo 2³².
+#[inline(always)]
+fn halves(sum: i32, a: u32, b: u32) -> i32 {
+    let low = i32::from(a as i16).wrapping_mul(i32::from(b as i16));
+    let high = ((a as i32) >> 16).wrapping_mul((b as i32) >> 16);
+    sum.wrapping_add(low).wrapping_add(high)
+}
+
+/// All rows of the product, one call of `out(row, value)` each. `inputs` has as many numbers as the matrix has columns.
 #[inline]
-fn dot_four(weights: &[u8], columns: usize, inputs: &[i16]) -> [i32; 4] {
-    let mut sums = [0i32; 4];
-    let row = |n: usize| {
-        let bytes = weights.get(n * columns..(n + 1) * columns);
-        bytes.unwrap_or(&[]).as_chunks::<STEP>()
-    };
-    let ((a, a_rest), (b, b_rest), (c, c_rest), (d, d_rest)) = (row(0), row(1), row(2), row(3));
-    let (chunks, left) = inputs.as_chunks::<STEP>();
-    for ((((a, b), c), d), u) in a.iter().zip(b).zip(c).zip(d).zip(chunks) {
-        for i in 0..STEP {
-            let u = i32::from(u[i]);
-            sums[0] += i32::from(a[i] as i8) * u;
-            sums[1] += i32::from(b[i] as i8) * u;
-            sums[2] += i32::from(c[i] as i8) * u;
-            sums[3] += i32::from(d[i] as i8) * u;
+pub fn product(rows: &Blocks, inputs: &Inputs, mut out: impl FnMut(usize, i32)) {
+    for (block, first) in rows.blocks().zip((0..).step_by(BLOCK)) {
+        let sums = dot_block(block, inputs.words(), inputs.start);
+        for (row, sum) in (first..rows.len()).zip(sums) {
+            // Below 2³⁰ · 2³¹ / 2³²; the bias is within ±2³⁰.
+            let value = mul_high_rounded(sum, rows.scale(row) << (32 - SCALE_FRACTION_BITS));
+            out(row, value + rows.bias(row));
         }
     }
-    for ((((a, b), c), d), u) in a_rest.iter().zip(b_rest).zip(c_rest).zip(d_rest).zip(left) {
-        let u = i32::from(*u);
-        sums[0] += i32::from(*a as i8) * u;
-        sums[1] += i32::from(*b as i8) * u;
-        sums[2] += i32::from(*c as i8) * u;
-        sums[3] += i32::from(*d as i8) * u;
+}
+
+/// Σ weight·input of a block's four rows. The sums are below 2³¹ (256 products of 2⁷ · 2¹⁵), what they pass through on the
+/// way need not be: it is computed modulo 2³².
+#[inline]
+fn dot_block(block: &[[u8; BLOCK * BLOCK]], inputs: &[[u32; 2]], start: i32) -> [i32; BLOCK] {
+    let mask = mask();
+    let mut sums = [start; BLOCK];
+    for (weights, inputs) in block.iter().zip(inputs) {
+        for (sum, of_row) in sums.iter_mut().zip(weights.as_chunks::<BLOCK>().0) {
+            *sum = four(*sum, of_row, inputs, mask);
+        }
     }
     sums
 }
@@ -91,25 +151,56 @@ fn dot_four(weights: &[u8], columns: usize, inputs: &[i16]) -> [i32; 4] {
 mod tests {
     use super::*;
 
-    #[test]
-    fn four_rows_at_once_are_four_rows() {
-        let weights: [u8; 4 * 21] = core::array::from_fn(|i| (i * 37 + 11) as u8);
-        let inputs: [i16; 21] = core::array::from_fn(|i| (i as i32 * 7919 - 32768) as i16);
-        for columns in [3, 7, 8, 16, 21] {
-            let (weights, inputs) = (&weights[..4 * columns], &inputs[..columns]);
-            let sums = dot_four(weights, columns, inputs);
-            for (row, sum) in weights.chunks_exact(columns).zip(sums) {
-                let products = row.iter().zip(inputs);
-                let want: i32 = products.map(|(w, u)| i32::from(*w as i8) * i32::from(*u)).sum();
-                assert_eq!((sum, dot(row, inputs)), (want, want));
-            }
+    /// Four rows as a block's bytes.
+    fn block<const C: usize>(rows: &[[i8; C]; BLOCK]) -> heapless::Vec<[u8; BLOCK * BLOCK], 64> {
+        (0..C.div_ceil(BLOCK))
+            .map(|q| {
+                core::array::from_fn(|i| {
+                    let (row, column) = (i / BLOCK, BLOCK * q + i % BLOCK);
+                    let weight = if column < C { rows[row][column] } else { 0 };
+                    (weight as u8) ^ 0x80
+                })
+            })
+            .collect()
+    }
+
+    fn agree<const C: usize>(rows: [[i8; C]; BLOCK], inputs: [i16; C]) {
+        let packed = Inputs::new(&inputs);
+        let sums = dot_block(&block(&rows), packed.words(), packed.start);
+        for (row, sum) in rows.iter().zip(sums) {
+            let products = row.iter().zip(inputs);
+            let want: i32 = products.map(|(w, u)| i32::from(*w) * i32::from(u)).sum();
+            let fours: heapless::Vec<[u8; BLOCK], 64> = row
+                .chunks(BLOCK)
+                .map(|four| core::array::from_fn(|c| (four.get(c).map_or(0, |w| *w) as u8) ^ 0x80))
+                .collect();
+            let of_row = dot_row(&fours, packed.words(), packed.start);
+            assert_eq!((sum, of_row), (want, want));
         }
     }
 
     #[test]
-    fn the_largest_sum_fits() {
-        let sum = dot(&[0x80; 494], &[i16::MIN; 494]);
-        assert_eq!(sum, 494 << 22);
+    fn a_block_is_four_rows() {
+        fn of<const C: usize>() {
+            let weight = |r: usize, c: usize| ((r * 91 + c * 37 + 11) % 256) as u8 as i8;
+            let input = |c: usize| (c as i32 * 7919 % 65536 - 32768) as i16;
+            agree::<C>(
+                core::array::from_fn(|r| core::array::from_fn(|c| weight(r, c))),
+                core::array::from_fn(input),
+            );
+        }
+        of::<3>();
+        of::<4>();
+        of::<8>();
+        of::<30>();
+        of::<160>();
+    }
+
+    #[test]
+    fn the_largest_sums_fit() {
+        agree([[-128; MAX_COLUMNS]; BLOCK], [i16::MIN; MAX_COLUMNS]);
+        agree([[127; MAX_COLUMNS]; BLOCK], [i16::MIN; MAX_COLUMNS]);
+        let sum = (MAX_COLUMNS as i32) << 22;
         assert_eq!(scaled(sum, i32::MAX, 1 << 30), i32::MAX);
         assert_eq!(scaled(-sum, i32::MAX, 1 << 30), i32::MIN);
     }

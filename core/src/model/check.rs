@@ -163,6 +163,20 @@ pub(super) fn values(model: &Model) -> Result<(), ModelError> {
             good
         }),
     )?;
+    // Sums in 32 bits: 2¹⁵ times less than 2¹⁶.
+    all(
+        Projection,
+        model.projection().map(|row| {
+            let sizes = row.weights.iter().map(|w| u32::from(w.unsigned_abs()));
+            sizes.sum::<u32>() < 1 << 16
+        }),
+    )?;
+    for section in [DriveScale, OutputScale, MemoryScale] {
+        all(
+            section,
+            i32s(model.section(section)).map(|s| (0..limit::BLOCK_SCALE).contains(&s)),
+        )?;
+    }
     for section in [ProjectionShift, GlobalShift] {
         all(section, model.section(section).iter().map(|s| *s <= limit::SHIFT))?;
     }

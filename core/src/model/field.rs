@@ -14,7 +14,7 @@ use crate::{N_OBSERVATION, N_STATIC};
 /// First bytes of every model.
 pub const MAGIC: [u8; 8] = *b"lipstrm\0";
 /// Version of this layout; any other is refused.
-pub const FORMAT_VERSION: u16 = 2;
+pub const FORMAT_VERSION: u16 = 3;
 /// The front end that the tables were trained for. Raised whenever its numbers change.
 pub const FRONT_END_FINGERPRINT: u32 = 0x4850_0001;
 
@@ -87,7 +87,7 @@ pub enum Section {
     Initial = 12,
     /// i8 `[T]`: hops relative to the frame, increasing.
     Taps = 13,
-    /// i16 `[X][13(T + M)]`, mantissas.
+    /// i16 `[X][13(T + M)]`, mantissas; the sizes of a row's add up to less than 2¹⁶.
     Projection = 14,
     /// u8 `[X]`: the sum of a row is shifted down by this to x in Q5.11, or to z in Q5.10 in a model with a memory.
     ProjectionShift = 15,
@@ -117,14 +117,14 @@ pub enum Section {
     VisualWeights = 28,
     VisualScale = 29,
     VisualBias = 30,
-    /// V_d: i8 `[H][Z]`; i32; no bias.
+    /// V_d: i8 `[H][Z]` in blocks; i32; no bias.
     DriveWeights = 31,
     DriveScale = 32,
-    /// W₀: i8 `[D][Z]`; i32; i32 `[D]`, Q10.
+    /// W₀: i8 `[D][Z]` in blocks; i32; i32 `[D]`, Q10.
     OutputWeights = 33,
     OutputScale = 34,
     OutputBias = 35,
-    /// O: i8 `[D][H]`; i32; no bias.
+    /// O: i8 `[D][H]` in blocks; i32; no bias.
     MemoryWeights = 36,
     MemoryScale = 37,
     /// Per audio state: i8 gains `[H]`, drives `[H]` and offsets `[D]` if the audio states have maps; u8 rates `[H]` if
@@ -139,6 +139,21 @@ pub enum Section {
     FirstMemory = 42,
 }
 
+/// Rows, and columns of each, that lie together in a matrix in blocks: [`BLOCK`]² bytes are four columns of four rows, row
+/// by row; then come the next four columns of these rows. In either layout a weight w is the byte w + 128, and columns (in
+/// blocks rows too) are filled up to a multiple of four with weights 0.
+pub const BLOCK: usize = 4;
+
+/// Bytes of a matrix row by row.
+pub const fn rows_size(rows: usize, columns: usize) -> usize {
+    rows * columns.div_ceil(BLOCK) * BLOCK
+}
+
+/// Bytes of a matrix in blocks.
+pub const fn blocks_size(rows: usize, columns: usize) -> usize {
+    rows.div_ceil(BLOCK) * columns.div_ceil(BLOCK) * BLOCK * BLOCK
+}
+
 /// A matrix of i8 weights with a scale a row and perhaps a bias: row r of the product with u is
 /// bias_r + (scale_r·Σ weight·u) / 2²⁴.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,6 +161,8 @@ pub struct Matrix {
     pub weights: Section,
     pub scale: Section,
     pub bias: Option<Section>,
+    /// Whether the weights lie in blocks, not row by row.
+    pub in_blocks: bool,
 }
 
 impl Matrix {
@@ -153,26 +170,31 @@ impl Matrix {
         weights: Section::AudioWeights,
         scale: Section::AudioScale,
         bias: Some(Section::AudioBias),
+        in_blocks: false,
     };
     pub const VISUAL: Self = Self {
         weights: Section::VisualWeights,
         scale: Section::VisualScale,
         bias: Some(Section::VisualBias),
+        in_blocks: false,
     };
     pub const DRIVE: Self = Self {
         weights: Section::DriveWeights,
         scale: Section::DriveScale,
         bias: None,
+        in_blocks: true,
     };
     pub const OUTPUT: Self = Self {
         weights: Section::OutputWeights,
         scale: Section::OutputScale,
         bias: Some(Section::OutputBias),
+        in_blocks: true,
     };
     pub const MEMORY: Self = Self {
         weights: Section::MemoryWeights,
         scale: Section::MemoryScale,
         bias: None,
+        in_blocks: true,
     };
     pub const ALL: [Self; 5] = [Self::AUDIO, Self::VISUAL, Self::DRIVE, Self::OUTPUT, Self::MEMORY];
 }
@@ -301,6 +323,8 @@ pub mod limit {
     pub const INPUTS: usize = 96;
     pub const PARAMETERS: usize = crate::parameters::MAX_PARAMETERS;
     pub const MEMORY: usize = 192;
+    /// Scales of a matrix in blocks are less, LSB 2⁻²⁴.
+    pub const BLOCK_SCALE: i32 = 1 << 23;
     pub const MEANS: usize = 6;
     /// Slowest exponential mean: 2⁻¹².
     pub const MEAN_SHIFT: u8 = 12;
@@ -396,15 +420,15 @@ impl Shape {
             Section::StateBias => 2 * v * d * linear,
             Section::ParameterScale => 4 * d,
             Section::MeanShifts => m,
-            Section::AudioWeights => s * x * recurrent,
+            Section::AudioWeights => rows_size(s, x) * recurrent,
             Section::AudioScale | Section::AudioBias => 4 * s * recurrent,
-            Section::VisualWeights => v * self.fed_back(),
+            Section::VisualWeights => rows_size(v, self.fed_back()),
             Section::VisualScale | Section::VisualBias => 4 * v * recurrent,
-            Section::DriveWeights => h * x,
+            Section::DriveWeights => blocks_size(h, x),
             Section::DriveScale => 4 * h,
-            Section::OutputWeights => d * x * recurrent,
+            Section::OutputWeights => blocks_size(d, x) * recurrent,
             Section::OutputScale | Section::OutputBias => 4 * d * recurrent,
-            Section::MemoryWeights => d * h,
+            Section::MemoryWeights => blocks_size(d, h),
             Section::MemoryScale => 4 * d * recurrent,
             Section::AudioGates => s * self.gate(owns::AUDIO_MAPS, owns::AUDIO_RATES),
             Section::AudioGateScale => 12 * s * recurrent,

@@ -1,7 +1,7 @@
 //! The checked view of a model's bytes.
 use super::check;
 use super::error::ModelError;
-use super::field::{self, Matrix, NAME_SIZE, Section, Shape, header, owns, settings};
+use super::field::{self, BLOCK, Matrix, NAME_SIZE, Section, Shape, header, owns, settings};
 use crate::hmm::transition::{N_CHOICES, N_CLASSES};
 use crate::logmath::{LogProb, NEVER_I16};
 use crate::parameters::N_VISEMES;
@@ -19,6 +19,12 @@ impl<'a> I16s<'a> {
             Some(&[a, b]) => i16::from_le_bytes([a, b]),
             _ => 0,
         }
+    }
+
+    /// The numbers as they lie there.
+    #[inline]
+    pub fn bytes(self) -> &'a [u8] {
+        self.0
     }
 
     #[inline]
@@ -311,12 +317,30 @@ impl<'a> Model<'a> {
         self.section(Section::MeanShifts)
     }
 
-    /// One of the matrices of a model with a memory, `columns` wide.
+    /// One of the matrices of a model with a memory that lie row by row, `columns` wide.
     #[inline]
     pub fn rows(&self, matrix: Matrix, columns: usize) -> Rows<'a> {
+        debug_assert!(!matrix.in_blocks);
         Rows {
-            weights: self.section(matrix.weights),
-            columns,
+            weights: self.section(matrix.weights).as_chunks().0,
+            fours: columns.div_ceil(BLOCK),
+            scaling: self.scaling(matrix),
+        }
+    }
+
+    /// One of the matrices of a model with a memory that lie in blocks, `columns` wide.
+    #[inline]
+    pub fn blocks(&self, matrix: Matrix, columns: usize) -> Blocks<'a> {
+        debug_assert!(matrix.in_blocks);
+        Blocks {
+            weights: self.section(matrix.weights).as_chunks().0,
+            fours: columns.div_ceil(BLOCK),
+            scaling: self.scaling(matrix),
+        }
+    }
+
+    fn scaling(&self, matrix: Matrix) -> Scaling<'a> {
+        Scaling {
             scale: self.section(matrix.scale).as_chunks().0,
             bias: matrix.bias.map_or(&[], |bias| self.section(bias).as_chunks().0),
         }
@@ -408,47 +432,94 @@ impl<'a> Model<'a> {
     }
 }
 
-/// A matrix of i8 weights, see [`Matrix`].
+/// What becomes of the sums of a matrix's rows.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scaling<'a> {
+    scale: &'a [[u8; 4]],
+    /// Empty where there is none.
+    bias: &'a [[u8; 4]],
+}
+
+impl Scaling<'_> {
+    #[inline]
+    fn scale(&self, row: usize) -> i32 {
+        self.scale.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+    }
+
+    #[inline]
+    fn bias(&self, row: usize) -> i32 {
+        self.bias.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+    }
+}
+
+/// A matrix of i8 weights row by row, see [`Matrix`].
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
-    /// i8 two's complement, row by row.
-    pub weights: &'a [u8],
-    pub columns: usize,
-    pub(super) scale: &'a [[u8; 4]],
-    /// Empty where there is none.
-    pub(super) bias: &'a [[u8; 4]],
+    weights: &'a [[u8; BLOCK]],
+    /// Columns, in fours.
+    fours: usize,
+    scaling: Scaling<'a>,
 }
 
 impl<'a> Rows<'a> {
-    /// Number of rows.
-    #[inline]
-    pub fn len(&self) -> usize {
-        self.scale.len()
-    }
-
-    #[inline]
-    pub fn is_empty(&self) -> bool {
-        self.scale.is_empty()
-    }
-
     /// Scale of a row, LSB 2⁻²⁴.
     #[inline]
     pub fn scale(&self, row: usize) -> i32 {
-        self.scale.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+        self.scaling.scale(row)
     }
 
     /// Bias of a row, within ±2³⁰.
     #[inline]
     pub fn bias(&self, row: usize) -> i32 {
-        self.bias.get(row).map_or(0, |b| i32::from_le_bytes(*b))
+        self.scaling.bias(row)
     }
 
-    /// Weights of `n` rows from `row` on; empty beyond the end.
+    /// Weights of a row + 128, in fours; empty beyond the end.
     #[inline]
-    pub fn weights(&self, row: usize, n: usize) -> &'a [u8] {
+    pub fn weights(&self, row: usize) -> &'a [[u8; BLOCK]] {
         self.weights
-            .get(row * self.columns..(row + n) * self.columns)
+            .get(row * self.fours..(row + 1) * self.fours)
             .unwrap_or(&[])
+    }
+}
+
+/// A matrix of i8 weights in blocks, see [`BLOCK`].
+#[derive(Clone, Copy, Debug)]
+pub struct Blocks<'a> {
+    weights: &'a [[u8; BLOCK * BLOCK]],
+    /// Columns, in fours.
+    fours: usize,
+    scaling: Scaling<'a>,
+}
+
+impl<'a> Blocks<'a> {
+    /// Number of rows, without those that fill up the last block.
+    #[inline]
+    pub fn len(&self) -> usize {
+        self.scaling.scale.len()
+    }
+
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Scale of a row, LSB 2⁻²⁴.
+    #[inline]
+    pub fn scale(&self, row: usize) -> i32 {
+        self.scaling.scale(row)
+    }
+
+    /// Bias of a row, within ±2³⁰.
+    #[inline]
+    pub fn bias(&self, row: usize) -> i32 {
+        self.scaling.bias(row)
+    }
+
+    /// The blocks, four rows each: four columns of them at a time.
+    #[inline]
+    pub fn blocks(&self) -> impl Iterator<Item = &'a [[u8; BLOCK * BLOCK]]> {
+        self.weights.chunks_exact(self.fours.max(1))
     }
 }
 

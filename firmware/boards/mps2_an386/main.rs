@@ -12,6 +12,8 @@ use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::model::Model;
+#[cfg(model_with_memory)]
+use lipstream_core::stream;
 use lipstream_firmware::{App, Line};
 use semihosting::experimental::env;
 use semihosting::fs::File;
@@ -21,7 +23,13 @@ use static_cell::StaticCell;
 
 static TABLES: &[u8] = include_bytes!(env!("LIPSTREAM_TABLES_FILE"));
 static MODEL: StaticCell<Model<'static>> = StaticCell::new();
-static APP: StaticCell<App<'static, Wire, Counter>> = StaticCell::new();
+static APP: StaticCell<DeviceApp> = StaticCell::new();
+
+/// The application with as much room as the model needs.
+#[cfg(model_with_memory)]
+type DeviceApp = App<'static, Wire, Counter, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
+#[cfg(not(model_with_memory))]
+type DeviceApp = App<'static, Wire, Counter>;
 
 const INPUT: &CStr = c"input.pcm";
 const OUTPUT: &CStr = c"output.wire";
@@ -60,11 +68,7 @@ impl Line for Wire {
 
 /// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
 #[inline(never)]
-fn make_app(
-    model: &'static Model<'static>,
-    wire: Wire,
-    counter: Counter,
-) -> &'static mut App<'static, Wire, Counter> {
+fn make_app(model: &'static Model<'static>, wire: Wire, counter: Counter) -> &'static mut DeviceApp {
     APP.init_with(|| App::new(model, wire, counter))
 }
 

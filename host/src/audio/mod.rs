@@ -12,6 +12,7 @@ use anyhow::{Context, Result, bail};
 
 mod flac;
 mod mp3;
+pub mod noise;
 mod ogg;
 mod resample;
 mod wav;

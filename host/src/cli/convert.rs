@@ -2,6 +2,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
+use lipstream_core::wire;
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 
 use crate::engine::{Converted, Engine, Kind, RunSettings};
@@ -22,12 +23,33 @@ pub(crate) struct Args {
     /// Arithmetic
     #[arg(long, value_enum, default_value_t = Kind::Fixed)]
     engine: Kind,
+    /// Delay that is allowed: live 45 ms, standard 80 ms, studio without limit [default: the model's own]
+    #[arg(long, value_enum)]
+    profile: Option<Profile>,
     /// Hops that an occupancy waits for [default: the model's]
     #[arg(long)]
     lag: Option<u16>,
     /// Width of the beam in bits, fixed engine only [default: the tables']
     #[arg(long)]
     beam: Option<f64>,
+}
+
+/// Delay profiles (DESIGN section 5).
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Profile {
+    Live,
+    Standard,
+    Studio,
+}
+
+impl Profile {
+    fn of(self) -> wire::Profile {
+        match self {
+            Profile::Live => wire::Profile::Live,
+            Profile::Standard => wire::Profile::Standard,
+            Profile::Studio => wire::Profile::Studio,
+        }
+    }
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -42,6 +64,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let with = RunSettings {
         lag: args.lag,
         beam_bits: args.beam,
+        profile: args.profile.map(Profile::of),
     };
     let converted = engine.convert(&sound.samples, &with)?;
     if converted.parameters.nrows() == 0 {

@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::evaluate::{
-    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, models, systems,
+    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, look_ahead, models, systems,
 };
 use crate::features::{FeatureFolder, Split};
+use crate::hmm::system::Speech;
 use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::tensors::Tensors;
@@ -115,12 +116,25 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
-        candidates.extend(models::of_model(&folder, model, args.beam)?);
+        candidates.extend(match model.system.speech {
+            Speech::LocalLinear => models::of_model(&folder, model, args.beam)?,
+            // The device does not speak by means; a system that is measured anyway stands there once.
+            _ if chosen.contains(&model.system) => Vec::new(),
+            _ => systems::candidates(&[model.system], std::slice::from_ref(model))?,
+        });
     }
     if let Some(trained) = &trained {
         candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
+    if full {
+        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &|line| {
+            eprintln!("{line}")
+        })?);
+        if let Some(trained) = &trained {
+            candidates.extend(look_ahead::of_mge(trained, "mge, one model"));
+        }
+    }
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }

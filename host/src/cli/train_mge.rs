@@ -69,6 +69,15 @@ pub(crate) struct Args {
     /// Deviation of the noise on the standardised cepstra, per frame and per clip
     #[arg(long, default_value_t = Settings::default().frame_noise)]
     noise: f32,
+    /// Times that every training clip is heard more, with noise, other levels, begun in its middle
+    #[arg(long, default_value_t = Settings::default().variants)]
+    variants: usize,
+    /// Share of the pieces of a batch that are disturbed so
+    #[arg(long, default_value_t = Settings::default().disturbed)]
+    disturbed: f32,
+    /// Look-aheads in frames of 10 ms that the model is to serve, up to the first tap; each piece has one of them
+    #[arg(long, value_delimiter = ',', default_values_t = Settings::default().look_aheads)]
+    look_aheads: Vec<usize>,
     /// Weight of a mouth parameter in the error: its deviation to this power
     #[arg(long, default_value_t = Settings::default().error_power)]
     error_power: f32,
@@ -97,6 +106,9 @@ impl Args {
             warp: self.warp,
             frame_noise: self.noise,
             clip_noise: self.noise,
+            variants: self.variants,
+            disturbed: self.disturbed,
+            look_aheads: self.look_aheads.clone(),
             error_power: self.error_power,
             hold_out: self.hold_out,
             clips,

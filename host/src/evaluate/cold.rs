@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::Truth;
 use super::bootstrap::{Difference, Interval};
 use super::candidate::{Candidate, Heard};
-use super::noise::generator;
+use crate::audio::noise::generator;
 use crate::features::FeatureFolder;
 
 /// Frames that are left after a start, at least.

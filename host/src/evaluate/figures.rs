@@ -2,9 +2,9 @@
 use anyhow::Result;
 
 use super::bootstrap::Interval;
-use super::noise::Kind;
 use super::plot::{self, Line, Look, Panel};
 use super::report::{ClipConvergence, Convergence, Report, Trajectory};
+use crate::audio::noise::Kind;
 
 /// A figure with its legend.
 pub struct Figure {

@@ -14,8 +14,8 @@ use super::report::{
     Against, ClipConvergence, ColdStarts, Convergence, Curve, NoiseCondition, NoiseRow, Point, Predicted,
     Report, Settings, System, Trajectory,
 };
-use super::{Truth, changes, cold, noise, truths};
-use crate::audio;
+use super::{Truth, changes, cold, truths};
+use crate::audio::{self, noise};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::reference::{self, Normalisation};
 

@@ -3,7 +3,8 @@ use serde::Serialize;
 
 use super::bootstrap::{Difference, Interval};
 use super::closure::Closure;
-use super::{cold, noise};
+use super::cold;
+use crate::audio::noise;
 use crate::features::{FeatureFolder, Split};
 
 /// What is measured, and how.

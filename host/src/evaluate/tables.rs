@@ -1,7 +1,7 @@
 //! A report's numbers as tables, which Markdown and HTML share.
 use super::bootstrap::{Difference, Interval};
-use super::noise::VOICES;
 use super::report::Report;
+use crate::audio::noise::VOICES;
 use crate::features::Split;
 
 /// A table with what has to be known to read it.

@@ -8,7 +8,7 @@ use lipstream_core::N_STATIC;
 use lipstream_core::hmm::transition::{N_CHOICES, N_CLASSES};
 use lipstream_core::logmath::FRACTION_BITS;
 use lipstream_core::model::field::{
-    Matrix, N_VISUAL_STATES, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, Section, Shape, limit, owns,
+    BLOCK, Matrix, N_VISUAL_STATES, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, Section, Shape, limit, owns,
 };
 use ndarray::{Array2, Array3};
 
@@ -196,8 +196,13 @@ impl Tables {
             let largest = row.iter().fold(0f64, |m, w| m.max(w.abs()));
             let step = largest / 127.0;
             let scale = step * output / input * f64::from(1 << SCALE_FRACTION_BITS);
+            let most = if matrix.in_blocks {
+                limit::BLOCK_SCALE - 1
+            } else {
+                i32::MAX
+            };
             ensure!(
-                scale.round() <= f64::from(i32::MAX),
+                scale.round() <= f64::from(most),
                 "a weight of {largest} in {:?} is too large for the device's tables",
                 matrix.weights
             );
@@ -206,6 +211,7 @@ impl Tables {
                 codes.push(code(*w, step, largest, &mut errors));
             }
         }
+        let codes = laid_out(&codes, weights.ncols(), if matrix.in_blocks { BLOCK } else { 1 });
         self.put(matrix.weights, codes, errors.report());
         self.put(matrix.scale, scales, None);
         if let Some(section) = matrix.bias {
@@ -315,6 +321,24 @@ struct Owned {
     groups: [Group; 4],
     sections: [Section; 2],
     states: usize,
+}
+
+/// Codes row by row to blocks of so many rows and [`BLOCK`] columns, filled up with zeros.
+fn laid_out(codes: &[u8], columns: usize, block_rows: usize) -> Vec<u8> {
+    let rows = codes.len() / columns.max(1);
+    let mut out = Vec::new();
+    for first_row in (0..rows).step_by(block_rows) {
+        for first_column in (0..columns).step_by(BLOCK) {
+            for row in first_row..first_row + block_rows {
+                for column in first_column..first_column + BLOCK {
+                    let inside = row < rows && column < columns;
+                    let weight = if inside { codes[row * columns + column] } else { 0 };
+                    out.push(weight ^ 0x80);
+                }
+            }
+        }
+    }
+    out
 }
 
 /// `w` in steps, held to ±127.

@@ -277,9 +277,11 @@ impl SumRows {
     /// One row: Σ wᵢ·uᵢ·`scale`, where uᵢ are integers, and an offset in the sum's LSB.
     pub(super) fn push(&mut self, weights: &[f64], scale: f64, offset: f64) -> Result<()> {
         let largest = weights.iter().fold(0f64, |m, w| m.max(w.abs())) * scale;
-        // The largest mantissa in [2¹⁴, 2¹⁵).
+        // Mantissas below 2¹⁵ that add up to less than 2¹⁶ with all their roundings.
+        let sum = weights.iter().map(|w| w.abs()).sum::<f64>() * scale;
+        let room = (32767.0 / largest).min((65535.0 - weights.len() as f64) / sum);
         let shift = if largest > 0.0 {
-            (32767.0 / largest).log2().floor().min(f64::from(limit::SHIFT))
+            room.log2().floor().min(f64::from(limit::SHIFT))
         } else {
             0.0
         };

@@ -333,46 +333,103 @@ pub fn viterbi(
     frames: usize,
     emission: &impl Emission,
 ) -> Option<(Vec<usize>, f64)> {
-    let n = graph.states.len();
-    let logs: Vec<f64> = probability.iter().map(|p| p.ln()).collect();
-    let mut best = vec![f64::NEG_INFINITY; n];
-    for &(state, log) in &graph.entries {
-        best[state] = f64::from(log);
+    let best = BestPaths::find(graph, probability, frames, emission, None);
+    let ends: Vec<usize> = graph
+        .exits
+        .clone()
+        .unwrap_or_else(|| (0..best.last.len()).collect());
+    let end = ends
+        .into_iter()
+        .max_by(|&a, &b| best.last[a].total_cmp(&best.last[b]))?;
+    if best.last[end] == f64::NEG_INFINITY || frames == 0 {
+        return None;
     }
-    let mut back = Array2::<u32>::zeros((frames, n));
-    for t in 0..frames {
-        if t > 0 {
-            let mut next = vec![f64::NEG_INFINITY; n];
-            for s in 0..n {
-                if best[s] > f64::NEG_INFINITY {
-                    for arc in graph.first[s]..graph.first[s + 1] {
-                        let to = graph.arcs[arc].to as usize;
-                        let score = best[s] + logs[arc];
-                        if score > next[to] {
-                            next[to] = score;
-                            back[[t, to]] = s as u32;
+    Some((best.path(frames - 1, end, frames), best.last[end]))
+}
+
+/// The state of every frame on the path that was best `lag` frames later: what a stream can know.
+pub fn viterbi_within(
+    graph: &Graph,
+    probability: &[f64],
+    frames: usize,
+    emission: &impl Emission,
+    lag: usize,
+) -> Option<Vec<usize>> {
+    let mut leaders = Vec::with_capacity(frames);
+    let best = BestPaths::find(graph, probability, frames, emission, Some(&mut leaders));
+    if leaders.iter().any(Option::is_none) {
+        return None;
+    }
+    let path = (0..frames).map(|t| {
+        let end = (t + lag).min(frames - 1);
+        let leader = leaders[end].unwrap_or_default();
+        best.path(end, leader, end - t + 1)[0]
+    });
+    Some(path.collect())
+}
+
+/// The best path into every state.
+struct BestPaths {
+    /// State before, `[frames, states]`.
+    back: Array2<u32>,
+    /// Log likelihood of the best path into each state of the last frame.
+    last: Vec<f64>,
+}
+
+impl BestPaths {
+    /// `leaders` receives the best state of every frame, none where no path is left.
+    fn find(
+        graph: &Graph,
+        probability: &[f64],
+        frames: usize,
+        emission: &impl Emission,
+        mut leaders: Option<&mut Vec<Option<usize>>>,
+    ) -> Self {
+        let n = graph.states.len();
+        let logs: Vec<f64> = probability.iter().map(|p| p.ln()).collect();
+        let mut best = vec![f64::NEG_INFINITY; n];
+        for &(state, log) in &graph.entries {
+            best[state] = f64::from(log);
+        }
+        let mut back = Array2::<u32>::zeros((frames, n));
+        for t in 0..frames {
+            if t > 0 {
+                let mut next = vec![f64::NEG_INFINITY; n];
+                for s in 0..n {
+                    if best[s] > f64::NEG_INFINITY {
+                        for arc in graph.first[s]..graph.first[s + 1] {
+                            let to = graph.arcs[arc].to as usize;
+                            let score = best[s] + logs[arc];
+                            if score > next[to] {
+                                next[to] = score;
+                                back[[t, to]] = s as u32;
+                            }
                         }
                     }
                 }
+                best = next;
             }
-            best = next;
-        }
-        for s in 0..n {
-            if best[s] > f64::NEG_INFINITY {
-                best[s] += emission.log(t, s);
+            for s in 0..n {
+                if best[s] > f64::NEG_INFINITY {
+                    best[s] += emission.log(t, s);
+                }
+            }
+            if let Some(leaders) = &mut leaders {
+                let leader = (0..n).max_by(|&a, &b| best[a].total_cmp(&best[b]));
+                leaders.push(leader.filter(|l| best[*l] > f64::NEG_INFINITY));
             }
         }
+        Self { back, last: best }
     }
-    let ends: Vec<usize> = graph.exits.clone().unwrap_or_else(|| (0..n).collect());
-    let end = ends.into_iter().max_by(|&a, &b| best[a].total_cmp(&best[b]))?;
-    if best[end] == f64::NEG_INFINITY || frames == 0 {
-        return None;
+
+    /// The last `length` states of the path that ends at frame `t` in `end`.
+    fn path(&self, t: usize, end: usize, length: usize) -> Vec<usize> {
+        let mut path = vec![end; length];
+        for i in (1..length).rev() {
+            path[i - 1] = self.back[[t + 1 + i - length, path[i]]] as usize;
+        }
+        path
     }
-    let mut path = vec![end; frames];
-    for t in (1..frames).rev() {
-        path[t - 1] = back[[t, path[t]]] as usize;
-    }
-    Some((path, best[end]))
 }
 
 #[cfg(test)]

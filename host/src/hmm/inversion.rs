@@ -12,7 +12,7 @@ use ndarray::{Array2, Array3, Axis, s};
 
 use super::Hmm;
 use super::density::Evaluator;
-use super::forward_backward::{forward, viterbi};
+use super::forward_backward::{forward, viterbi, viterbi_within};
 use super::graph::{Graph, log_sum};
 use super::system::Density;
 use crate::model::{EmSettings, MStep, Mixtures};
@@ -111,6 +111,49 @@ impl<'a> Inverter<'a> {
         Ok((mouth, occupancy))
     }
 
+    /// [`Self::best_path`] as a stream knows it `lag` frames later.
+    pub fn best_path_within(
+        &self,
+        observations: &Array2<f32>,
+        acoustic_scale: f32,
+        lag: usize,
+    ) -> Result<Array2<f32>> {
+        self.centres_within(&self.hear(observations, acoustic_scale), lag)
+    }
+
+    fn centres_within(&self, heard: &Heard, lag: usize) -> Result<Array2<f32>> {
+        let frames = heard.state.nrows();
+        let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
+        let path = viterbi_within(&self.graph, &self.probability, frames, &emission, lag)
+            .context("the audio observations are not finite")?;
+        let mut out = Array2::zeros((frames, self.centre.ncols()));
+        for (mut row, &s) in out.outer_iter_mut().zip(&path) {
+            row.assign(&self.centre.row(self.graph.states[s].visual));
+        }
+        Ok(out)
+    }
+
+    /// [`Self::convert`] with a future of `lag` frames: the iterations share it, and begin at the centres of the states
+    /// that are best so far.
+    pub fn convert_within(
+        &self,
+        observations: &Array2<f32>,
+        settings: &EmSettings,
+        lag: usize,
+    ) -> Result<Array2<f32>> {
+        let heard = self.hear(observations, settings.acoustic_scale);
+        if settings.iterations == 0 {
+            return self.centres_within(&heard, lag);
+        }
+        let mut mouth = self.centres_within(&heard, 0)?;
+        for n in 0..settings.iterations {
+            // Where the frames cannot be shared evenly, the later iterations have more.
+            let share = lag * (n + 1) / settings.iterations - lag * n / settings.iterations;
+            mouth = self.step_within(&heard, &mouth, settings, Some(share))?.next;
+        }
+        Ok(mouth)
+    }
+
     /// Every estimate from the path's centres on, with its likelihood: `settings.iterations` + 1 of them.
     pub fn iterations(&self, observations: &Array2<f32>, settings: &EmSettings) -> Result<Vec<Estimate>> {
         let heard = self.hear(observations, settings.acoustic_scale);
@@ -128,6 +171,17 @@ impl<'a> Inverter<'a> {
 
     /// One E and one M step from `mouth`.
     fn step(&self, heard: &Heard, mouth: &Array2<f32>, settings: &EmSettings) -> Result<Step> {
+        self.step_within(heard, mouth, settings, None)
+    }
+
+    /// [`Self::step`] where occupancies know `lag` frames of the future; none: all of it.
+    fn step_within(
+        &self,
+        heard: &Heard,
+        mouth: &Array2<f32>,
+        settings: &EmSettings,
+        lag: Option<usize>,
+    ) -> Result<Step> {
         let (states, k, size) = self.hmm.visual.mean.dim();
         let frames = mouth.nrows();
         let kappa = settings.visual_exponent;
@@ -162,7 +216,10 @@ impl<'a> Inverter<'a> {
         };
         let forward = forward(&self.graph, &self.probability, frames, &emission)
             .context("the audio observations are not finite")?;
-        let gamma = forward.backward(&self.graph, &self.probability, |_, _, _| ());
+        let gamma = match lag {
+            None => forward.backward(&self.graph, &self.probability, |_, _, _| ()),
+            Some(lag) => forward.fixed_lag(&self.graph, &self.probability, lag),
+        };
         let mut occupancy = Array2::<f32>::zeros((frames, states));
         let mut next = Array2::<f32>::zeros((frames, size));
         let (mut precision, mut weighted) = (vec![0.0f64; size], vec![0.0f64; size]);

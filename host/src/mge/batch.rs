@@ -1,13 +1,14 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
 use lipstream_core::N_STATIC;
-use ndarray::Array2;
+use ndarray::{Array2, ArrayBase, Data, Ix2, s};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
 
 use super::chain::Chain;
-use super::data::{Clip, Data};
+use super::data;
+use super::data::Clip;
 use super::judge::centred;
 use super::model::LEAST;
 use super::parameters::{Parameters, normal};
@@ -24,7 +25,7 @@ pub(super) struct Share {
 
 pub(super) struct Trainer<'a> {
     pub(super) settings: &'a Settings,
-    pub(super) data: &'a Data,
+    pub(super) data: &'a data::Data,
     pub(super) chain: Chain,
     pub(super) context_mean: Vec<f32>,
     /// w_d.
@@ -37,7 +38,11 @@ struct Piece {
     /// Index into the clips with video, or into those without.
     clip: usize,
     heard: bool,
-    /// First frame, frames of the clip per frame of the piece, and frames of the piece.
+    /// The clip disturbed; none: as it is.
+    variant: Option<usize>,
+    /// Frames of future that are known.
+    ahead: usize,
+    /// First frame, frames of the clip (or of its variant) per frame of the piece, and frames of the piece.
     from: f32,
     speed: f32,
     frames: usize,
@@ -52,7 +57,7 @@ impl Piece {
     }
 
     /// Rows of `of` at the piece's speed, `frames` of them, linear between the clip's.
-    fn cut(&self, of: &Array2<f32>, frames: usize) -> Array2<f32> {
+    fn cut<S: Data<Elem = f32>>(&self, of: &ArrayBase<S, Ix2>, frames: usize) -> Array2<f32> {
         Array2::from_shape_fn((frames, of.ncols()), |(t, d)| {
             let (before, after, share) = self.place(t, of.nrows());
             of[[before, d]] + share * (of[[after, d]] - of[[before, d]])
@@ -93,7 +98,14 @@ impl Trainer<'_> {
         for (order, heard) in [(share(&with_video), false), (share(&heard), true)] {
             for clip in order {
                 let clips = if heard { &self.data.heard } else { &self.data.train };
-                let all = clips[clip].x.nrows();
+                let variants = &clips[clip].variants;
+                let variant = (!variants.is_empty() && rng.random::<f32>() < self.settings.disturbed)
+                    .then(|| rng.random_range(0..variants.len()));
+                let ahead = match self.settings.look_aheads.as_slice() {
+                    [] => self.settings.context.look_ahead(),
+                    some => some[rng.random_range(0..some.len())].min(self.settings.context.look_ahead()),
+                };
+                let all = variant.map_or(clips[clip].x.nrows(), |v| variants[v].x.nrows());
                 let warp = self.settings.warp;
                 let speed = 1.0 + warp * rng.random_range(-1.0f32..=1.0);
                 let whole = ((all - 1) as f32 / speed) as usize + 1;
@@ -103,10 +115,18 @@ impl Trainer<'_> {
                     whole
                 };
                 let room = (whole - frames) as f32 * speed;
-                let from = (room * rng.random::<f32>()).round();
+                // A variant that begins in mid-clip is a cold start: its beginning is what there is to learn.
+                let is_cold = variant.is_some_and(|v| variants[v].first > 0);
+                let from = if is_cold {
+                    0.0
+                } else {
+                    (room * rng.random::<f32>()).round()
+                };
                 pieces.push(Piece {
                     clip,
                     heard,
+                    variant,
+                    ahead,
                     from,
                     speed,
                     frames,
@@ -124,8 +144,12 @@ impl Trainer<'_> {
     fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Share {
         let settings = self.settings;
         let clip = self.clip(piece);
-        let all = clip.x.nrows();
-        let mut x = piece.cut(&clip.x, piece.frames + settings.context.look_ahead());
+        let (of, first) = match piece.variant {
+            None => (&clip.x, 0),
+            Some(v) => (&clip.variants[v].x, clip.variants[v].first),
+        };
+        let all = of.nrows();
+        let mut x = piece.cut(of, piece.frames + settings.context.look_ahead());
         let shift: [f32; N_STATIC] = std::array::from_fn(|_| settings.clip_noise * normal(rng));
         for mut row in x.outer_iter_mut() {
             for (x, s) in row.iter_mut().zip(shift) {
@@ -143,12 +167,15 @@ impl Trainer<'_> {
             output: mask(shape.memory, settings.output_dropout),
             feedback: mask(shape.fed_back(), settings.feedback_dropout),
         };
-        let context = centred(&settings.context.stack(&x, piece.frames), &self.context_mean);
+        let context = centred(
+            &settings.context.stack_within(&x, piece.frames, piece.ahead),
+            &self.context_mean,
+        );
         let tape = Tape::forward(net, context, masks);
         let targets: Vec<(usize, usize)> = (0..piece.frames)
             .map(|t| {
                 let (before, after, share) = piece.place(t, all);
-                clip.states[if share < 0.5 { before } else { after }]
+                clip.states[first + if share < 0.5 { before } else { after }]
             })
             .collect();
         let mut g_output = Array2::zeros((piece.frames, shape.outputs));
@@ -164,7 +191,7 @@ impl Trainer<'_> {
             atoms: settings.atoms,
         };
         if let (Some(mouth), false) = (&clip.mouth, piece.heard) {
-            let mouth = piece.cut(mouth, piece.frames);
+            let mouth = piece.cut(&mouth.slice(s![first..first + all, ..]), piece.frames);
             for t in 0..piece.frames {
                 for (d, w) in self.weights.iter().enumerate() {
                     let e = tape.output[[t, d]] - mouth[[t, d]];

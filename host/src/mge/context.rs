@@ -5,7 +5,8 @@
 //! m_n(α) = m_{n−1}(α) + α·(x_n − m_{n−1}(α)),  m_0(α) = x_0                                  (M1)
 //! c_t = [x_{t+τ} for every tap τ; m_{t+a}(α) for every α],  a = the first tap, the look-ahead   (M2)
 //! ```
-//! Before the first frame stands the first frame, after the last one the last. The means' rates are powers of two:
+//! Before the first frame stands the first frame, after the last one the last. A stream that waits for fewer frames than a
+//! holds its newest frame instead of those that it does not know, and its means end there. The means' rates are powers of two:
 //! shifts on the device.
 use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
@@ -51,12 +52,18 @@ impl Context {
 
     /// Contexts of the first `frames` frames of `x` `[≥ frames, 13]`; frames beyond `frames` serve as future.
     pub fn stack(&self, x: &Array2<f32>, frames: usize) -> Array2<f32> {
+        self.stack_within(x, frames, self.look_ahead())
+    }
+
+    /// [`Self::stack`] where only `ahead` frames of the future are known: the last known one stands for those behind it.
+    pub fn stack_within(&self, x: &Array2<f32>, frames: usize, ahead: usize) -> Array2<f32> {
         let available = x.nrows();
         let mut out = Array2::zeros((frames, self.size()));
-        let ahead = self.look_ahead();
+        let ahead = ahead.min(self.look_ahead());
         for (k, &tap) in self.taps.iter().enumerate() {
+            let tap = i64::from(tap).min(ahead as i64);
             for t in 0..frames {
-                let from = (t as i64 + i64::from(tap)).clamp(0, available as i64 - 1) as usize;
+                let from = (t as i64 + tap).clamp(0, available as i64 - 1) as usize;
                 for d in 0..N_STATIC {
                     out[[t, k * N_STATIC + d]] = x[[from, d]];
                 }
@@ -88,6 +95,8 @@ pub fn rate(shift: u32) -> f32 {
 #[derive(Clone, Debug)]
 pub struct Window {
     context: Context,
+    /// Frames of future that are waited for.
+    ahead: usize,
     /// The last frames, newest last; `reach + look-ahead + 1` of them.
     recent: std::collections::VecDeque<[f32; N_STATIC]>,
     means: Vec<[f32; N_STATIC]>,
@@ -96,9 +105,11 @@ pub struct Window {
 }
 
 impl Window {
-    pub fn new(context: Context) -> Self {
+    /// Waits for `ahead` frames of future, at most the context's look-ahead.
+    pub fn new(context: Context, ahead: usize) -> Self {
         let means = vec![[0.0; N_STATIC]; context.shifts.len()];
         Self {
+            ahead: ahead.min(context.look_ahead()),
             context,
             recent: Default::default(),
             means,
@@ -108,7 +119,7 @@ impl Window {
 
     /// Takes the next frame. True when the context of frame `arrived − 1 − look-ahead` can be read.
     pub fn push(&mut self, x: [f32; N_STATIC]) -> bool {
-        let ahead = self.context.look_ahead();
+        let ahead = self.ahead;
         let reach = self.context.taps.last().map_or(0, |t| (-t).max(0) as usize);
         if self.arrived == 0 {
             self.recent.extend(std::iter::repeat_n(x, reach + ahead + 1));
@@ -135,13 +146,13 @@ impl Window {
 
     /// The context, `[taps then means, 13 each]`.
     pub fn read(&self, out: &mut [f32]) {
-        let ahead = self.context.look_ahead() as i64;
+        let ahead = self.ahead as i64;
         let newest = self.recent.len() as i64 - 1;
         let taps = self
             .context
             .taps
             .iter()
-            .map(|&tap| &self.recent[(newest - ahead + i64::from(tap)) as usize]);
+            .map(|&tap| &self.recent[(newest - ahead + i64::from(tap).min(ahead)) as usize]);
         for (place, row) in out.chunks_exact_mut(N_STATIC).zip(taps.chain(&self.means)) {
             place.copy_from_slice(row);
         }
@@ -155,13 +166,13 @@ mod tests {
     #[test]
     fn one_frame_at_a_time_gives_the_same() {
         let context = Context::default();
-        for frames in [1, 5, 60] {
+        for (frames, ahead) in [(1, 8), (5, 8), (60, 8), (60, 3), (2, 3), (60, 0)] {
             let x = Array2::from_shape_fn((frames, N_STATIC), |(t, d)| ((t * 7 + d * 3) % 11) as f32 - 5.0);
-            let whole = context.stack(&x, frames);
-            let mut window = Window::new(context.clone());
+            let whole = context.stack_within(&x, frames, ahead);
+            let mut window = Window::new(context.clone(), ahead);
             let mut row = vec![0.0; context.size()];
             let mut t = 0;
-            for n in 0..frames + context.look_ahead() {
+            for n in 0..frames + ahead {
                 let ready = if n < frames {
                     window.push(std::array::from_fn(|d| x[[n, d]]))
                 } else {

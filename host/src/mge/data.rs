@@ -2,7 +2,11 @@
 use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
+use rayon::prelude::*;
 
+use super::disturb::{Disturbance, Variant};
+use super::settings::Settings;
+use crate::audio::{self, noise};
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::em::{self, Parameters as HmmParameters, Utterance};
 use crate::hmm::topology::Topology;
@@ -20,6 +24,8 @@ pub struct Clip {
     pub mouth: Option<Array2<f32>>,
     /// Audio and visual state of every frame by forced alignment.
     pub states: Vec<(usize, usize)>,
+    /// The clip disturbed.
+    pub variants: Vec<Variant>,
 }
 
 /// Everything that training reads.
@@ -37,14 +43,13 @@ pub struct Data {
 
 /// Reads folders and aligns them with the likelihood-trained model `twin`.
 ///
-/// `clips` is the greatest number of training clips with video; the last `hold_out` of all training clips
-/// join the validation clips.
+/// At most `settings.clips` training clips with video are taken; the last `settings.hold_out` of all training clips
+/// join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
 pub fn read(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
     twin: &Model,
-    clips: Option<usize>,
-    hold_out: usize,
+    settings: &Settings,
     say: Say,
 ) -> Result<Data> {
     if folder.manifest.visual_size != twin.visual_size() {
@@ -66,15 +71,15 @@ pub fn read(
         .filter(|u| u.visual.is_some())
         .collect();
     let mut validation = load(folder, Split::Val);
-    let held = train.len().saturating_sub(hold_out);
+    let held = train.len().saturating_sub(settings.hold_out);
     validation.extend(train.drain(held..));
-    if let Some(clips) = clips {
+    if let Some(clips) = settings.clips {
         train.truncate(clips);
     }
-    let heard: Vec<Utterance> = audio_only
+    let of_each: Vec<Vec<Utterance>> = audio_only
         .iter()
-        .flat_map(|f| load(f, Split::Train))
-        .map(|u| Utterance { visual: None, ..u })
+        .map(|f| load(f, Split::Train))
+        .map(|of| of.into_iter().map(|u| Utterance { visual: None, ..u }).collect())
         .collect();
     if train.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
@@ -111,18 +116,70 @@ pub fn read(
                     x,
                     mouth,
                     states,
+                    variants: Vec::new(),
                 })
             })
             .collect()
     };
+    let mut train = clips(train);
+    let mut heard: Vec<Vec<Clip>> = of_each.into_iter().map(clips).collect();
+    if settings.variants > 0 {
+        let babble = match audio_only {
+            [] => voices(folder)?,
+            others => {
+                let all: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
+                all.concat()
+            }
+        };
+        disturb(folder, &mut train, &babble, &scale, settings)?;
+        for (folder, clips) in audio_only.iter().zip(&mut heard) {
+            disturb(folder, clips, &babble, &scale, settings)?;
+        }
+    }
     Ok(Data {
-        train: clips(train),
-        heard: clips(heard),
+        train,
+        heard: heard.concat(),
         validation: clips(validation),
         scale: scale.clone(),
         deviation: deviation.clone(),
     })
 }
+
+/// Sounds of a folder's training clips, at most [`VOICES`] spread over them.
+fn voices(folder: &FeatureFolder) -> Result<Vec<Vec<i16>>> {
+    let clips: Vec<_> = folder.split(Split::Train).collect();
+    let every = clips.len().div_ceil(VOICES).max(1);
+    let chosen = clips.into_iter().step_by(every);
+    chosen
+        .map(|clip| Ok(audio::read(&folder.wav_path(&clip.id))?.samples))
+        .collect()
+}
+
+/// Hears every clip some times more, disturbed; what happens to it depends on the seed and its name only.
+fn disturb(
+    folder: &FeatureFolder,
+    clips: &mut [Clip],
+    babble: &[Vec<i16>],
+    scale: &[f32],
+    settings: &Settings,
+) -> Result<()> {
+    let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
+    let start_mean: [f32; N_STATIC] = std::array::from_fn(|d| folder.manifest.start_mean[d]);
+    clips.par_iter_mut().try_for_each(|clip| {
+        let samples = audio::read(&folder.wav_path(&clip.id))?.samples;
+        let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
+        clip.variants = (0..settings.variants)
+            .map(|_| {
+                let disturbance = Disturbance::draw(clip.x.nrows(), &mut rng);
+                disturbance.hear(&samples, &babble, &start_mean, scale, &mut rng)
+            })
+            .collect();
+        Ok(())
+    })
+}
+
+/// Clips of a folder that babble, at most.
+const VOICES: usize = 60;
 
 fn inverse_deviation(utterances: &[Utterance]) -> Vec<f32> {
     let columns = (0..N_STATIC).map(|d| utterances.iter().flat_map(move |u| u.audio.column(d).to_vec()));

@@ -13,6 +13,8 @@ use crate::model::N_EMITTING;
 /// Scores over clips.
 #[derive(Clone, Debug)]
 pub struct Judgement {
+    /// Frames of future that were known.
+    pub ahead: usize,
     /// In the units of the visual features.
     pub score: Score,
     pub frames: usize,
@@ -49,18 +51,19 @@ pub fn largest(values: &[f32], size: usize) -> usize {
         .0
 }
 
-/// Follows every clip from `start_at` frames into it (a cold start) and scores from there on.
+/// Follows every clip, `ahead` frames of its future known, and scores it.
 pub fn judge(
     parameters: &Parameters,
     chain: &Chain,
     context_mean: &[f32],
     deviation: &[f32],
     clips: &[Clip],
-    start_at: usize,
+    ahead: usize,
     least: f32,
 ) -> Judgement {
     let net = Net::new(parameters, chain, least);
     let empty = || Judgement {
+        ahead,
         score: Score::new(deviation.len()),
         frames: 0,
         phones: 0,
@@ -71,24 +74,16 @@ pub fn judge(
         .par_iter()
         .map(|clip| {
             let mut one = empty();
-            let all = clip.x.nrows();
-            if start_at >= all {
-                return one;
-            }
-            let x = clip.x.slice(ndarray::s![start_at.., ..]).to_owned();
-            let frames = x.nrows();
-            let context = centred(&parameters.shape.context.stack(&x, frames), context_mean);
+            let frames = clip.x.nrows();
+            let stacked = parameters.shape.context.stack_within(&clip.x, frames, ahead);
+            let context = centred(&stacked, context_mean);
             let tape = Tape::forward(&net, context, Masks::default());
             if let Some(mouth) = &clip.mouth {
-                let scaled = |m: &Array2<f32>, from: usize| {
-                    Array2::from_shape_fn((frames, deviation.len()), |(t, d)| {
-                        m[[t + from, d]] * deviation[d]
-                    })
-                };
-                one.score.add(&scaled(mouth, start_at), &scaled(&tape.output, 0));
+                let scaled = |m: &Array2<f32>| m * &ndarray::ArrayView1::from(deviation);
+                one.score.add(&scaled(mouth), &scaled(&tape.output));
             }
             for t in 0..frames {
-                let (a, v) = clip.states[t + start_at];
+                let (a, v) = clip.states[t];
                 let (audio, visual) = (tape.audio.row(t).to_vec(), tape.visual.row(t).to_vec());
                 one.frames += 1;
                 one.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);

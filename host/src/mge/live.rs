@@ -37,7 +37,8 @@ pub struct Live<'a> {
 }
 
 impl<'a> Live<'a> {
-    pub fn new(model: &'a MgeModel) -> Self {
+    /// Waits for `ahead` frames of future, at most the model's look-ahead.
+    pub fn new(model: &'a MgeModel, ahead: usize) -> Self {
         let shape = &model.parameters.shape;
         let net = Net::new(&model.parameters, &model.chain(), model.least);
         let room = Room::new(&net);
@@ -45,14 +46,14 @@ impl<'a> Live<'a> {
         Live {
             model,
             room,
-            window: Window::new(shape.context.clone()),
+            window: Window::new(shape.context.clone(), ahead),
             alpha: vec![0.0; states],
             next: vec![0.0; states],
             scratch: net.chain.scratch(),
             memory: model.parameters.of(Group::FirstMemory).to_vec(),
             output: vec![0.0; shape.outputs],
             started: false,
-            left: shape.context.look_ahead(),
+            left: ahead.min(shape.context.look_ahead()),
             net,
         }
     }
@@ -160,14 +161,19 @@ pub struct Converted {
     pub visemes: Array2<f32>,
 }
 
-/// Streams normalised statics `[frames, ≥ 13]` through the model, frame by frame.
+/// Streams normalised statics `[frames, ≥ 13]` through the model, frame by frame, at its full look-ahead.
 pub fn convert(model: &MgeModel, statics: ArrayView2<f32>) -> Converted {
+    convert_within(model, statics, model.parameters.shape.context.look_ahead())
+}
+
+/// [`convert`] with `ahead` frames of future only.
+pub fn convert_within(model: &MgeModel, statics: ArrayView2<f32>, ahead: usize) -> Converted {
     let shape = &model.parameters.shape;
     let frames = statics.nrows();
     let mut parameters = Array2::zeros((frames, shape.outputs));
     let mut audio = Array2::zeros((frames, shape.audio_states()));
     let mut visual = Array2::zeros((frames, VISUAL));
-    let mut live = Live::new(model);
+    let mut live = Live::new(model, ahead);
     let mut t = 0;
     let mut take = |spoken: Spoken| {
         for (row, from) in [

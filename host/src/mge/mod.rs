@@ -8,6 +8,7 @@ pub mod chain;
 pub mod checkpoint;
 pub mod context;
 pub mod data;
+pub mod disturb;
 #[cfg(test)]
 mod gradient_tests;
 pub mod judge;

@@ -36,6 +36,11 @@ pub struct Settings {
     /// Share of memory numbers that a clip's mouth, or its visual emissions, do without.
     pub output_dropout: f32,
     pub feedback_dropout: f32,
+    /// Times that every training clip is heard more, disturbed, and the share of pieces that are.
+    pub variants: usize,
+    pub disturbed: f32,
+    /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
+    pub look_aheads: Vec<usize>,
     /// ρ: 0 weighs standardised parameters alike, 2 is the plain squared error.
     pub error_power: f32,
     pub rule: Rule,
@@ -51,12 +56,12 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             context: Context::default(),
-            inputs: 80,
-            memory: 160,
+            inputs: 72,
+            memory: 144,
             feedback: Feedback::Output,
             maps: Gate::Both,
             rates: Gate::Visual,
-            passes: 25,
+            passes: 70,
             batch: 20,
             crop: 160,
             crops: 0.5,
@@ -69,6 +74,9 @@ impl Default for Settings {
             clip_noise: 0.15,
             output_dropout: 0.2,
             feedback_dropout: 0.1,
+            variants: 6,
+            disturbed: 0.3,
+            look_aheads: vec![3, 6, 8],
             error_power: 1.0,
             rule: Rule::default(),
             start: StartSettings::default(),
@@ -97,6 +105,7 @@ impl Settings {
             ("dropout of the memory", self.output_dropout),
             ("dropout of the feedback", self.feedback_dropout),
             ("change of speed", self.warp),
+            ("share of disturbed pieces", self.disturbed),
         ] {
             if !(0.0..1.0).contains(&share) {
                 bail!("the {name} is {share}: give 0 or more, less than 1");

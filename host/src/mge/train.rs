@@ -17,7 +17,7 @@ use super::batch::Trainer;
 use super::chain::{Chain, ROWS};
 use super::checkpoint::{self, Best};
 use super::data::{self, Data};
-use super::judge::judge;
+use super::judge::{Judgement, judge};
 use super::model::{LEAST, MgeModel, check_twin};
 use super::optimise::{Optimiser, Rule};
 use super::parameters::{Parameters, Shape};
@@ -40,7 +40,7 @@ pub fn train(
     settings.check()?;
     check_twin(twin)?;
     say("forced alignment with the likelihood-trained model");
-    let data = data::read(folder, audio_only, twin, settings.clips, settings.hold_out, say)?;
+    let data = data::read(folder, audio_only, twin, settings, say)?;
     say(&format!(
         "{} clips with video, {} with sound only, {} to validate on",
         data.train.len(),
@@ -162,10 +162,17 @@ pub fn train_on(
         deviation: data.deviation.clone(),
         least: LEAST,
         provenance: format!(
-            "coupled HMM trained on the error of its mouth; {} clips with video, {} with sound only, {} passes, seed {}; \
-             started from: {}",
+            "coupled HMM trained on the error of its mouth; {} clips with video, {} with sound only, each heard {} times more with \
+             noise, other levels and later beginnings; for look-aheads of {} frames; {} passes, seed {}; started from: {}",
             data.train.len(),
             data.heard.len(),
+            settings.variants,
+            settings
+                .look_aheads
+                .iter()
+                .map(usize::to_string)
+                .collect::<Vec<_>>()
+                .join(", "),
             settings.passes,
             settings.seed,
             twin.provenance
@@ -210,16 +217,26 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
         };
         return Ok("no clips to validate on".into());
     }
-    let seen = judge(
-        &optimiser.mean,
-        &trainer.chain,
-        &trainer.context_mean,
-        &data.deviation,
-        &data.validation,
-        0,
-        LEAST,
-    );
-    let amse = seen.score.amse();
+    let own = [trainer.settings.context.look_ahead()];
+    let look_aheads = match trainer.settings.look_aheads.as_slice() {
+        [] => &own,
+        some => some,
+    };
+    let seen: Vec<Judgement> = look_aheads
+        .iter()
+        .map(|&ahead| {
+            judge(
+                &optimiser.mean,
+                &trainer.chain,
+                &trainer.context_mean,
+                &data.deviation,
+                &data.validation,
+                ahead,
+                LEAST,
+            )
+        })
+        .collect();
+    let amse = seen.iter().map(|s| s.score.amse()).sum::<f64>() / seen.len() as f64;
     if !amse.is_finite() {
         bail!(
             "training diverged in pass {pass}: lower the learning rate, now {}",
@@ -233,13 +250,21 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
             pass,
         };
     }
-    Ok(format!(
-        "validation AMSE {amse:.0}, ACC {:.4}, phones {:.1} %, visemes {:.1} %, viseme states {:.1} %",
-        seen.score.acc(),
-        100.0 * seen.share(seen.phones),
-        100.0 * seen.share(seen.visemes),
-        100.0 * seen.share(seen.visual_states)
-    ))
+    let said: Vec<String> = seen
+        .iter()
+        .map(|s| {
+            format!(
+                "at {} ms AMSE {:.0}, ACC {:.4}, phones {:.1} %, visemes {:.1} %, viseme states {:.1} %",
+                10 * s.ahead,
+                s.score.amse(),
+                s.score.acc(),
+                100.0 * s.share(s.phones),
+                100.0 * s.share(s.visemes),
+                100.0 * s.share(s.visual_states)
+            )
+        })
+        .collect();
+    Ok(format!("validation {}", said.join("; ")))
 }
 
 /// A number that settings and data share with no other run (FNV-1a).

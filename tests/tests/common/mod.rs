@@ -62,7 +62,12 @@ pub(crate) fn shipped_tables() -> Vec<u8> {
 }
 
 /// What the core gives on the host.
-pub(crate) fn host_frames(model: &Model, settings: Settings, mut samples: &[i16]) -> Vec<ParameterFrame> {
+pub(crate) fn host_frames(model: &Model, settings: Settings, samples: &[i16]) -> Vec<ParameterFrame> {
+    host_run(model, settings, samples).0
+}
+
+/// The host's frames, and in how many of them the beam was narrowed.
+pub(crate) fn host_run(model: &Model, settings: Settings, mut samples: &[i16]) -> (Vec<ParameterFrame>, u32) {
     let mut stream = Stream::new(model, settings);
     let mut frames = Vec::new();
     while !samples.is_empty() {
@@ -71,5 +76,5 @@ pub(crate) fn host_frames(model: &Model, settings: Settings, mut samples: &[i16]
         samples = &samples[consumed..];
     }
     frames.extend(std::iter::from_fn(|| stream.finish()));
-    frames
+    (frames, stream.narrowed())
 }

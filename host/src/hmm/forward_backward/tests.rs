@@ -217,3 +217,19 @@ fn too_short_an_utterance_has_no_path() {
     assert!(forward(&tiny.graph, &tiny.probability, 9, &emission).is_none());
     assert!(viterbi(&tiny.graph, &tiny.probability, 9, &emission).is_none());
 }
+
+#[test]
+fn a_path_read_off_late_enough_is_the_best_path() {
+    let topology = Topology::PH_VI_CHMM;
+    let tiny = tiny(topology, 12, true, 17);
+    let emission = |t: usize, s: usize| tiny.log[[t, s]];
+    let (best, _) = viterbi(&tiny.graph, &tiny.probability, 12, &emission).unwrap();
+    let within = |lag| viterbi_within(&tiny.graph, &tiny.probability, 12, &emission, lag).unwrap();
+    assert_eq!(within(11), best);
+    assert_eq!(within(500), best);
+    // Without a lag: the best state so far, whatever comes later.
+    for t in 0..12 {
+        let (so_far, _) = viterbi(&tiny.graph, &tiny.probability, t + 1, &emission).unwrap();
+        assert_eq!(within(0)[t], so_far[t], "frame {t}");
+    }
+}

@@ -1,0 +1,146 @@
+//! The projection: a few numbers of the statics around a frame, by a matrix of i16 mantissas with a shift and an offset a row.
+//!
+//! Two rows share a walk through the statics. Products of halfwords are summed in 32 bits: the mantissas of a row add up to less
+//! than 2¹⁶, as the checked tables see to it, so that no statics can overflow a sum.
+use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
+use crate::model::Model;
+use crate::model::field::limit;
+use crate::{N_STATIC, model::SumRow};
+
+/// Largest number of numbers in a context.
+pub const MAX_CONTEXT: usize = N_STATIC * (limit::TAPS + limit::MEANS);
+
+/// Rows that share a walk.
+const ROWS: usize = 2;
+/// Words of two halfwords that are unrolled.
+const WORDS: usize = 16;
+
+/// The model's projection of `context` (Q7.8, as long as the model's context): Q5.11 for local linear maps, Q5.10 for a
+/// model with a memory; the model's first X numbers are meaningful.
+pub fn project(model: &Model, context: &[i16]) -> [i16; limit::INPUTS] {
+    let mut words = [0u32; MAX_CONTEXT / 2];
+    let (pairs, last) = context.as_chunks();
+    for (word, [low, high]) in words.iter_mut().zip(pairs) {
+        *word = u32::from(*low as u16) | u32::from(*high as u16) << 16;
+    }
+    let words = words.get(..pairs.len()).unwrap_or(&[]);
+    let mut x = [0; limit::INPUTS];
+    let mut rows = model.projection();
+    for to in x.chunks_mut(ROWS) {
+        let some: [Option<SumRow>; ROWS] = core::array::from_fn(|_| rows.next());
+        // Where the number of rows is odd, the last one stands for its neighbour too.
+        let [Some(first), second] = some else {
+            break;
+        };
+        let bytes = [first, second.unwrap_or(first)].map(|row| row.weights.bytes());
+        for ((to, row), sum) in to.iter_mut().zip(some).zip(dot(bytes, words, last)) {
+            if let Some(row) = row {
+                let value = round_shift_i64(i64::from(sum), row.shift) - i64::from(row.offset);
+                *to = saturate_i16(saturate_i32(value));
+            }
+        }
+    }
+    x
+}
+
+/// sum + low·low + high·high of halfwords, modulo 2³².
+#[inline(always)]
+fn halves(sum: i32, weights: &[u8; 4], word: u32) -> i32 {
+    let weights = u32::from_le_bytes(*weights);
+    let low = i32::from(weights as i16).wrapping_mul(i32::from(word as i16));
+    let high = ((weights as i32) >> 16).wrapping_mul((word as i32) >> 16);
+    sum.wrapping_add(low).wrapping_add(high)
+}
+
+/// Σ weightᵢ·inputᵢ of each row: inputs in pairs, and one more where their number is odd.
+fn dot(rows: [&[u8]; ROWS], words: &[u32], last: &[i16]) -> [i32; ROWS] {
+    let [(a, a_last), (b, b_last)] = rows.map(|row| row.as_chunks::<4>());
+    let (chunks, rest) = words.as_chunks::<WORDS>();
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<WORDS>(), b.as_chunks::<WORDS>());
+    let mut sums = [0; ROWS];
+    for ((a, b), words) in a.iter().zip(b).zip(chunks) {
+        sums = dot_chunk(sums, a, b, words);
+    }
+    for ((a, b), word) in a_rest.iter().zip(b_rest).zip(rest) {
+        sums = [halves(sums[0], a, *word), halves(sums[1], b, *word)];
+    }
+    for (sum, row) in sums.iter_mut().zip([a_last, b_last]) {
+        if let ([low, high], [input]) = (row, last) {
+            let product = i32::from(i16::from_le_bytes([*low, *high])) * i32::from(*input);
+            *sum = sum.wrapping_add(product);
+        }
+    }
+    sums
+}
+
+/// Adds the products of some words. Out of line and unrolled by hand, so that its registers are its own and all its
+/// addresses constant offsets.
+#[inline(never)]
+fn dot_chunk(
+    mut sums: [i32; ROWS],
+    a: &[[u8; 4]; WORDS],
+    b: &[[u8; 4]; WORDS],
+    words: &[u32; WORDS],
+) -> [i32; ROWS] {
+    macro_rules! add {
+        ($($i:literal)*) => {
+            $(sums = [halves(sums[0], &a[$i], words[$i]), halves(sums[1], &b[$i], words[$i])];)*
+        };
+    }
+    add!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    extern crate std;
+    use std::vec::Vec;
+
+    fn check(columns: usize, rows: usize, largest: i32) {
+        let weight =
+            |r: usize, c: usize| ((r * 7919 + c * 104_729) as i32 % (2 * largest + 1) - largest) as i16;
+        let inputs: Vec<i16> = (0..columns)
+            .map(|c| (c as i32 * 7919 % 65536 - 32768) as i16)
+            .collect();
+        let bytes: Vec<Vec<u8>> = (0..rows)
+            .map(|r| (0..columns).flat_map(|c| weight(r, c).to_le_bytes()).collect())
+            .collect();
+        let (pairs, last) = inputs.as_chunks();
+        let words: Vec<u32> = pairs
+            .iter()
+            .map(|[low, high]| u32::from(*low as u16) | u32::from(*high as u16) << 16)
+            .collect();
+        let sums = dot(
+            core::array::from_fn(|r| &bytes[r.min(rows - 1)][..]),
+            &words,
+            last,
+        );
+        for (r, sum) in sums.into_iter().enumerate().take(rows) {
+            let want: i32 = (0..columns)
+                .map(|c| i32::from(weight(r, c)) * i32::from(inputs[c]))
+                .sum();
+            assert_eq!(sum, want, "row {r} of {rows}, {columns} columns");
+        }
+    }
+
+    #[test]
+    fn sums_are_exact() {
+        for columns in [1, 2, 13, 26, 31, 32, 33, 64, 169, 494] {
+            for rows in 1..=ROWS {
+                check(columns, rows, 65535 / columns.max(3) as i32);
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_sum_fits() {
+        let weights: Vec<u8> = [32767i16, 32767, 1]
+            .iter()
+            .flat_map(|w| w.to_le_bytes())
+            .collect();
+        let sums = dot([&weights; ROWS], &[0x8000_8000], &[i16::MIN]);
+        assert_eq!(sums, [-(65535 << 15); ROWS]);
+    }
+}
