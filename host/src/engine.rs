@@ -94,7 +94,7 @@ impl Engine {
     /// Converts 16 kHz mono samples.
     pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
         match self {
-            Self::Fixed(tables) => convert_fixed(&Tables::new_checked(tables)?, samples, with),
+            Self::Fixed(tables) => stream(&Tables::new_checked(tables)?, samples, core_settings(with)?),
             Self::Float(model) => {
                 ensure!(
                     with.beam_bits.is_none(),
@@ -154,8 +154,9 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
     })
 }
 
-fn convert_fixed(tables: &Tables, samples: &[i16], with: &RunSettings) -> Result<Converted> {
-    let mut stream = Stream::new(tables, core_settings(with)?);
+/// A whole sound through the device's own stream.
+pub fn stream(tables: &Tables, samples: &[i16], settings: Settings) -> Result<Converted> {
+    let mut stream = Stream::new(tables, settings);
     let scales: Vec<f32> = tables.parameter_scales().collect();
     let mut parameters = Array2::zeros((0, scales.len()));
     let mut visemes = Array2::zeros((0, VISEMES.len()));

@@ -27,25 +27,33 @@ pub fn prune<const N: usize>(
 ) -> bool {
     let most = most.clamp(1, N);
     tokens.clear();
-    let Some(best) = scores.states().map(|s| scores.get(s)).max() else {
+    let mut best = LogProb::NEVER;
+    scores.visit(|_, score| best = best.max(score));
+    if best.is_never() {
         return false;
-    };
+    }
     let floor = LogProb::from_q12(best.q12().saturating_sub(width.q12())).max(LogProb::FLOOR);
-    let within = scores.states().filter(|s| scores.get(*s) >= floor).count();
-    let mut door = if within <= most {
-        Door::open(best)
-    } else {
-        let values = scores.states().map(|s| scores.get(s));
-        Door::new(best, values.filter(|score| *score >= floor), most)
-    };
-    for state in scores.states() {
-        let score = scores.get(state);
+    let mut within = 0;
+    scores.visit(|state, score| {
+        if score >= floor {
+            within += 1;
+            // What does not fit shows in the count.
+            let _ = tokens.push(relative(state, best, score));
+        }
+    });
+    if within <= most {
+        return false;
+    }
+    tokens.clear();
+    let values = scores.states().map(|s| scores.get(s));
+    let mut door = Door::new(best, values.filter(|score| *score >= floor), most);
+    scores.visit(|state, score| {
         if score >= floor && door.lets_in(score) {
             // There is room: at most `most` are let in.
             let _ = tokens.push(relative(state, best, score));
         }
-    }
-    within > most
+    });
+    true
 }
 
 /// Lets the best of a number of scores in, whole bins from the best down, of the last bin those that come first.

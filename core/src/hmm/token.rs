@@ -92,6 +92,21 @@ impl Scores {
         })
     }
 
+    /// Calls `f` with every joint state that is set, in increasing order, and its value.
+    #[inline]
+    pub fn visit(&self, mut f: impl FnMut(JointState, LogProb)) {
+        for (i, &word) in self.set.iter().enumerate() {
+            let mut left = word;
+            while left != 0 {
+                let index = 32 * i + left.trailing_zeros() as usize;
+                left &= left - 1;
+                if let Some(value) = self.value.get(index) {
+                    f(JointState(index as u16), *value);
+                }
+            }
+        }
+    }
+
     /// Calls `f` with every joint state that is set, in increasing order, and its value to change.
     #[inline]
     pub fn for_each(&mut self, mut f: impl FnMut(JointState, &mut LogProb)) {

@@ -20,7 +20,7 @@ pub(crate) struct Args {
     /// Hops that an occupancy waits for [default: the model's]
     #[arg(long)]
     lag: Option<u16>,
-    /// Width of the beam in bits [default: 24; 10 for a model of `--train mge`]
+    /// Width of the beam in bits [default: 24; 11 for a model of `--train mge`]
     #[arg(long)]
     beam: Option<f64>,
     /// Exponent on the audio likelihood [default: the model's]

@@ -1,6 +1,8 @@
 //! Candidates that need no training corpus of systems: the mean, ridge regression, and one trained model in floats and as
 //! the device computes it.
 use anyhow::{Result, ensure};
+use lipstream_core::stream::Settings;
+use lipstream_core::wire::Profile;
 use ndarray::Array2;
 
 use super::candidate::{Candidate, Heard, Prediction};
@@ -71,7 +73,10 @@ pub fn of_model<'a>(
             "ph-vi-chmm + local linear, fixed point, beam and lag",
             ahead,
             tables,
-            beam_bits,
+            RunSettings {
+                beam_bits,
+                ..RunSettings::default()
+            },
         )?,
     ])
 }
@@ -89,17 +94,8 @@ pub(super) fn local_linear<'a>(name: &str, ahead: Option<u32>, model: &'a Model,
 }
 
 /// What the device makes of these tables.
-fn device<'a>(
-    name: &str,
-    ahead: Option<u32>,
-    tables: Vec<u8>,
-    beam_bits: Option<f64>,
-) -> Result<Candidate<'a>> {
+fn device<'a>(name: &str, ahead: Option<u32>, tables: Vec<u8>, with: RunSettings) -> Result<Candidate<'a>> {
     let engine = Engine::fixed(tables)?;
-    let with = RunSettings {
-        beam_bits,
-        ..RunSettings::default()
-    };
     Ok(Candidate::new(name, ahead, move |heard: &Heard| {
         let said = engine.convert(&heard.samples, &with)?;
         Ok(Prediction {
@@ -120,7 +116,8 @@ fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
     Ok(())
 }
 
-/// A model trained on the error of its mouth, streamed frame by frame: in floats, and as the device computes it.
+/// A model trained on the error of its mouth, streamed frame by frame: in floats, and as the device computes it in every
+/// profile.
 pub fn of_mge<'a>(
     folder: &FeatureFolder,
     model: &'a MgeModel,
@@ -129,14 +126,26 @@ pub fn of_mge<'a>(
     speaks_as_many(folder, model.deviation.len())?;
     let ahead = Some(model.look_ahead_ms());
     let tables = export_mge(model, &MgeSettings::default())?.bytes;
-    Ok(vec![
-        Candidate::new("mge, float", ahead, move |heard: &Heard| {
-            let said = live::convert(model, heard.observations.view());
-            Ok(Prediction {
-                parameters: said.parameters,
-                visemes: Some(said.visemes),
-            })
-        }),
-        device("mge, fixed point and beam", ahead, tables, beam_bits)?,
-    ])
+    let mut out = vec![Candidate::new("mge, float", ahead, move |heard: &Heard| {
+        let said = live::convert(model, heard.observations.view());
+        Ok(Prediction {
+            parameters: said.parameters,
+            visemes: Some(said.visemes),
+        })
+    })];
+    for (name, profile) in [
+        ("mge, fixed point and beam", Profile::Studio),
+        ("mge, fixed point, standard", Profile::Standard),
+        ("mge, fixed point, live", Profile::Live),
+    ] {
+        let waits = Settings::of(profile).look_ahead.map(|hops| 10 * u32::from(hops));
+        let with = RunSettings {
+            beam_bits,
+            profile: Some(profile),
+            ..RunSettings::default()
+        };
+        let ahead = ahead.map(|own| waits.map_or(own, |waits| waits.min(own)));
+        out.push(device(name, ahead, tables.clone(), with)?);
+    }
+    Ok(out)
 }

@@ -27,7 +27,7 @@ pub struct ExportSettings {
 
 impl Default for ExportSettings {
     fn default() -> Self {
-        Self { beam_bits: 10.0 }
+        Self { beam_bits: 11.0 }
     }
 }
 

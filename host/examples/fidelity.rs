@@ -1,17 +1,23 @@
-//! What tables of few bits cost a model trained by minimum generation error, weights only, in floats; and what a cold
-//! start in mid-clip costs.
+//! What the device costs a model trained by minimum generation error, step by step: tables of few bits (weights only, in floats),
+//! integers, beam, bounds on the work of a frame; and what a cold start in mid-clip costs.
 //!
-//!     cargo run --release -p lipstream --example mge_bits -- FOLDER MGE.safetensors [train|val|test]
+//!     cargo run --release -p lipstream --example fidelity -- FOLDER MGE.safetensors [train|val|test]
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use clap::ValueEnum;
+use lipstream::audio;
+use lipstream::engine::stream;
 use lipstream::evaluate::metrics::Score;
 use lipstream::evaluate::truths;
+use lipstream::export::{MgeSettings, export_mge};
 use lipstream::features::{FeatureFolder, Split};
 use lipstream::mge::live;
 use lipstream::mge::model::MgeModel;
 use lipstream::mge::rounding::rounded;
+use lipstream_core::logmath::{FRACTION_BITS, LogProb};
+use lipstream_core::model::Model as Tables;
+use lipstream_core::stream::Settings;
 use ndarray::s;
 
 fn main() -> Result<()> {
@@ -45,6 +51,48 @@ fn main() -> Result<()> {
     show("floats", score(&model, 0, false));
     for bits in [8, 7, 6, 5, 4] {
         show(&format!("{bits} bits"), score(&rounded(&model, bits), 0, false));
+    }
+    let tables = export_mge(&model, &MgeSettings::default())?.bytes;
+    let tables = Tables::new_checked(&tables)?;
+    let bits = |bits: i32| Some(LogProb::from_q12(bits << FRACTION_BITS));
+    let all = Settings {
+        most: Some(u16::MAX),
+        phones: Some(u16::MAX),
+        ..Settings::default()
+    };
+    let steps = [
+        (
+            "integers, beam of 40 bits",
+            Settings {
+                beam: bits(40),
+                ..all
+            },
+        ),
+        (
+            "… of 20 bits",
+            Settings {
+                beam: bits(20),
+                ..all
+            },
+        ),
+        (
+            "… of 14 bits",
+            Settings {
+                beam: bits(14),
+                ..all
+            },
+        ),
+        ("… as exported", all),
+        ("… and its bound on states", Settings { most: None, ..all }),
+        ("… and on phones: the device", Settings::default()),
+    ];
+    for (name, settings) in steps {
+        let mut score = Score::new(model.deviation.len());
+        for clip in &clips {
+            let samples = audio::read(&folder.wav_path(&clip.clip.id))?.samples;
+            score.add(&clip.visual, &stream(&tables, &samples, settings)?.parameters);
+        }
+        show(name, score);
     }
     for from in [50, 100, 150] {
         show(

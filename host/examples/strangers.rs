@@ -1,0 +1,79 @@
+//! Other talkers through a model of one: how well its lip gap follows the gap of their own mouths.
+//!
+//!     cargo run --release -p lipstream --example strangers -- FOLDER OTHERS MGE.safetensors
+//!
+//! FOLDER is what the model was trained on; OTHERS holds clips of other talkers with their mouths. Gaps are read off mouth
+//! images (theirs) and off mouth parameters (the model's); a correlation asks for no scale. Beside it stand the
+//! likelihood-trained twin, and chance: the same gaps against those of the next clip.
+use std::path::PathBuf;
+
+use anyhow::{Context as _, Result, bail, ensure};
+use lipstream::evaluate::closure::Gaps;
+use lipstream::features::{Clip, FeatureFolder};
+use lipstream::hmm::convert::{Lag, convert};
+use lipstream::mge::live;
+use lipstream::mge::model::MgeModel;
+
+fn correlation(a: &[f32], b: &[f32]) -> f64 {
+    let n = a.len().min(b.len());
+    let mean = |v: &[f32]| v[..n].iter().map(|x| f64::from(*x)).sum::<f64>() / n as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
+    for (x, y) in a[..n].iter().zip(&b[..n]) {
+        let (x, y) = (f64::from(*x) - ma, f64::from(*y) - mb);
+        ab += x * y;
+        aa += x * x;
+        bb += y * y;
+    }
+    ab / (aa * bb).sqrt().max(1e-12)
+}
+
+fn main() -> Result<()> {
+    let words: Vec<PathBuf> = std::env::args_os().skip(1).map(PathBuf::from).collect();
+    let [own, others, model] = words.as_slice() else {
+        bail!("write FOLDER OTHERS MGE.safetensors");
+    };
+    let (own, others) = (FeatureFolder::open(own)?, FeatureFolder::open(others)?);
+    let model = MgeModel::read(model)?;
+    let read_out = Gaps::learn(&own).context("the gap of the model's own talker")?;
+    let theirs = Gaps::learn(&others).context("the gaps of the others")?;
+    let clips: Vec<&Clip> = others
+        .manifest
+        .clips
+        .iter()
+        .filter(|c| c.video_frames > 0)
+        .collect();
+    ensure!(!clips.is_empty(), "{} holds no video", others.root.display());
+    let mut gaps = Vec::new();
+    for clip in &clips {
+        let audio = others.audio(clip)?;
+        let said = live::convert(&model, audio.view()).parameters;
+        let lag = Lag::Frames(model.twin.following.lag);
+        let (twin, _) = convert(&model.twin, &audio, lag)?;
+        gaps.push((
+            theirs.truth(&others, clip)?.gap().to_vec(),
+            read_out.read_out(said.view()),
+            read_out.read_out(twin.view()),
+        ));
+    }
+    println!("| clip | talker | mge | likelihood-trained twin | chance |\n|---|---|---|---|---|");
+    let mut sums = [0.0; 3];
+    for (n, clip) in clips.iter().enumerate() {
+        let (truth, said, twin) = &gaps[n];
+        let next = &gaps[(n + 1) % gaps.len()].0;
+        let row = [
+            correlation(truth, said),
+            correlation(truth, twin),
+            correlation(next, said),
+        ];
+        sums.iter_mut()
+            .zip(row)
+            .for_each(|(s, r)| *s += r / clips.len() as f64);
+        println!(
+            "| {} | {} | {:.3} | {:.3} | {:.3} |",
+            clip.id, clip.speaker, row[0], row[1], row[2]
+        );
+    }
+    println!("| mean | | {:.3} | {:.3} | {:.3} |", sums[0], sums[1], sums[2]);
+    Ok(())
+}
