@@ -2,6 +2,35 @@
 //!
 //! `no_std`, no allocation, no floating point from the sample to the packet. The same code runs on
 //! the device, in QEMU and inside the host program, and gives the same bytes in all three.
+//!
+//! ```
+//! use lipstream_core::model::Model;
+//! use lipstream_core::stream::{MEMORY_FRAMES, MEMORY_TOKENS, Settings, Stream};
+//! use lipstream_core::wire::Profile;
+//!
+//! # fn move_mouth(_parameters: &[i16]) {}
+//! # let microphone = [[0i16; 160]; 50];
+//! // What `lipstream export` wrote; `models/` has one.
+//! static TABLES: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/grid-s1.tables"));
+//!
+//! let model = Model::new_checked(TABLES)?;
+//! let settings = Settings::of(Profile::Standard);
+//! let mut stream = Stream::<MEMORY_TOKENS, MEMORY_FRAMES>::sized(&model, settings);
+//! for piece in microphone {
+//!     let mut rest = &piece[..]; // 16 kHz, cut anywhere
+//!     while !rest.is_empty() {
+//!         let (taken, frame) = stream.push(rest);
+//!         rest = &rest[taken..];
+//!         if let Some(frame) = frame {
+//!             move_mouth(&frame.values); // frame.sample: what it belongs to
+//!         }
+//!     }
+//! }
+//! # Ok::<(), lipstream_core::model::ModelError>(())
+//! ```
+//!
+//! A scale a parameter ([`model::Model::parameter_scales`]) makes real units of them; [`wire`] is what goes over a line. The feature
+//! `defmt` derives `defmt::Format`; no feature changes a number.
 #![no_std]
 #![forbid(unsafe_code)]
 

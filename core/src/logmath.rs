@@ -8,6 +8,7 @@
 /// Live values stay within ±2²⁸ (±65536 bits); everything at or below [`LogProb::FLOOR`] counts as "never".
 /// The floor is sized so that four times [`LogProb::NEVER`] does not overflow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LogProb(i32);
 
 /// Fraction bits of [`LogProb`].

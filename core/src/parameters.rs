@@ -7,6 +7,7 @@ pub const N_VISEMES: usize = 13;
 
 /// Mouth parameters of one frame, and what the model thinks is being said.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ParameterFrame {
     /// Frame of the audio that the parameters belong to.
     pub frame: u32,

@@ -54,6 +54,7 @@ pub enum ToHost {
 
 /// What the device is and how to read its frames. Sent at `Start`, after `Profile`, and about once a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
     /// [`PROTOCOL`]. Stays the first field in every version.
     pub protocol: u8,
@@ -69,6 +70,7 @@ pub struct Hello {
 
 /// One frame of mouth parameters.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame {
     /// Counts the frames made since `Start`, sent or not, modulo 2³²: a gap is a loss.
     pub sequence: u32,
@@ -94,6 +96,7 @@ impl Frame {
 
 /// How the device is doing. Sent about once a second and at `Stop`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
     /// Share of the time since the last `Status` that went into computing, 1000 = all of it. 0 where the board has
     /// no clock to tell.
@@ -122,6 +125,7 @@ pub enum ToDevice<'a> {
 
 /// Delay profiles (DESIGN section 5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Profile {
     /// At most 45 ms of algorithmic delay: 42.5 ms with a model with a memory.
     Live,
@@ -163,6 +167,7 @@ impl<'a> Pcm<'a> {
 
 /// Why bytes between two zeros are no message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum WireError {
     /// The frame ended inside a COBS run or is shorter than its CRC.
     Cut,
@@ -194,6 +199,7 @@ impl core::error::Error for WireError {}
 
 /// The buffer is smaller than the message; [`MAX_ENCODED`] bytes are always enough.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct BufferTooSmall;
 
 impl fmt::Display for BufferTooSmall {

@@ -212,12 +212,16 @@ fn streamed_frame_by_frame_as_in_batches() {
         };
         let model = quietly(&data, &twin, &settings, None);
         let net = Net::new(&model.parameters, &model.chain(), model.least);
-        for clip in &data.validation {
+        for (clip, ahead) in data.validation.iter().flat_map(|c| [(c, 8), (c, 3), (c, 0)]) {
             let frames = clip.x.nrows();
-            let context = model.parameters.shape.context.stack(&clip.x, frames);
+            let context = model
+                .parameters
+                .shape
+                .context
+                .stack_within(&clip.x, frames, ahead);
             let tape = Tape::forward(&net, centred(&context, &model.context_mean), Masks::default());
             let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
-            let said = live::convert(&model, raw.view());
+            let said = live::convert_within(&model, raw.view(), ahead);
             assert_eq!(said.parameters.dim(), (frames, OUTPUTS));
             for t in 0..frames {
                 for (d, deviation) in model.deviation.iter().enumerate() {
@@ -280,12 +284,13 @@ fn a_file_gives_the_model_back() {
 }
 
 /// The device's arithmetic on whole LSBs of Q7.8, to the end of the sound.
-fn fixed(tables: &[u8], statics: &Array2<i16>) -> Vec<ParameterFrame> {
+fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16) -> Vec<ParameterFrame> {
     let tables = Tables::new_checked(tables).unwrap();
     // Without beam and bound: what is compared is the arithmetic.
     let settings = ConverterSettings {
         beam: Some(LogProb::from_q12(60 << 12)),
         most: Some(384),
+        look_ahead: Some(look_ahead),
         ..ConverterSettings::default()
     };
     let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
@@ -322,10 +327,19 @@ fn fixed_point_follows_the_floats() {
             let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
             let heard = raw.mapv(|v| (v * 256.0).round() as i16);
             // The whole clip, and sounds shorter than the look-ahead.
-            for length in [heard.nrows(), 1, 2, 8, 9, 30] {
+            for (length, ahead) in [
+                (heard.nrows(), 8),
+                (heard.nrows(), 3),
+                (1, 8),
+                (2, 3),
+                (8, 8),
+                (9, 6),
+                (30, 8),
+            ] {
                 let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
-                let floats = live::convert(&model, heard.mapv(|v| f32::from(v) / 256.0).view());
-                let said = fixed(&tables, &heard);
+                let statics = heard.mapv(|v| f32::from(v) / 256.0);
+                let floats = live::convert_within(&model, statics.view(), ahead);
+                let said = fixed(&tables, &heard, ahead as u16);
                 assert_eq!(said.len(), length);
                 for (t, frame) in said.iter().enumerate() {
                     assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));

@@ -1,8 +1,9 @@
-//! Measures what the front end costs on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
+//! Measures what the front end and a whole stream cost on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
 //!
 //! ```text
 //! cargo run -p lipstream-tests --example cost               writes docs/cost.md
 //! cargo run -p lipstream-tests --example cost -- --check    fails where a number there has grown by more than 5 %
+//! cargo run -p lipstream-tests --example cost -- --stream TABLES SOUND...    counts a stream of these tables over these sounds
 //! ```
 //!
 //! Instructions are counted in QEMU (`-icount`): the same on every machine and every run.
@@ -53,30 +54,88 @@ mod host {
         ("bytes flash", "code and tables, bytes"),
     ];
 
+    /// Rows of the stream's table.
+    const STREAM_ROWS: [(&str, &str); 8] = [
+        ("instructions mean", "**a hop of the stream, mean**"),
+        ("instructions worst", "**a hop of the stream, worst**"),
+        ("instructions context", "context and projection"),
+        (
+            "instructions memory",
+            "gates, memory and mouth, three states of each chain",
+        ),
+        ("instructions audio_state", "emission of an audio state"),
+        ("active mean", "active joint states, mean"),
+        ("active most", "active joint states, most"),
+        ("bytes memory_stream", "state of the stream (static RAM), bytes"),
+    ];
+    /// Most instructions of a stream's hop over the shipped sound, on average and at worst.
+    const MOST_OF_STREAM: (u64, u64) = (220_000, 350_000);
+
     type Numbers = BTreeMap<String, u64>;
 
     pub(crate) fn main() -> Result<()> {
-        let check = match std::env::args().nth(1).as_deref() {
-            None => false,
-            Some("--check") => true,
-            Some(other) => bail!("unknown option {other}; there is --check"),
-        };
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        let words: Vec<String> = std::env::args().skip(1).collect();
+        let words: Vec<&str> = words.iter().map(String::as_str).collect();
+        let check = match words.as_slice() {
+            [] => false,
+            ["--check"] => true,
+            ["--stream", tables, sounds @ ..] if !sounds.is_empty() => {
+                let sounds: Vec<PathBuf> = sounds.iter().map(PathBuf::from).collect();
+                for (name, value) in measure_stream(&root, Path::new(tables), &sounds)? {
+                    println!("{name} {value}");
+                }
+                return Ok(());
+            }
+            other => bail!("unknown options {other:?}; there are --check and --stream TABLES SOUND..."),
+        };
         let document = root.join("docs/cost.md");
         let measured = TARGETS.map(|target| measure(&root, target));
         let [cortex_m4, cortex_m0] = measured;
         let columns = [cortex_m4?, cortex_m0?];
+        let stream = measure_stream(
+            &root,
+            &root.join("models/grid-s1.tables"),
+            &[root.join("data/hello.wav")],
+        )?;
         if check {
             let text = std::fs::read_to_string(&document).with_context(|| document.display().to_string())?;
-            return compare(&text, &columns);
+            return compare(&text, &columns, &stream);
         }
-        std::fs::write(&document, render(&columns)).with_context(|| document.display().to_string())?;
+        std::fs::write(&document, render(&columns, &stream))
+            .with_context(|| document.display().to_string())?;
         println!("wrote docs/cost.md");
         Ok(())
     }
 
+    /// Counts a stream of these tables over these sounds, one after the other, on Cortex-M4.
+    fn measure_stream(root: &Path, tables: &Path, sounds: &[PathBuf]) -> Result<Numbers> {
+        let program = build(root, TARGETS[0], "stream_cost")?;
+        let folder = tempfile::tempdir()?;
+        std::fs::copy(tables, folder.path().join("model.tables"))
+            .with_context(|| tables.display().to_string())?;
+        let mut raw = Vec::new();
+        for sound in sounds {
+            let samples = lipstream::audio::read(sound)?.samples;
+            raw.extend(samples.iter().flat_map(|s| s.to_le_bytes()));
+        }
+        std::fs::write(folder.path().join("sound.raw"), raw)?;
+        run(&program, folder.path())
+    }
+
     /// Builds the counting program for a target, runs it, reads its symbols.
     fn measure(root: &Path, target: &str) -> Result<Numbers> {
+        let program = build(root, target, "frontend_cost")?;
+        let mut numbers = run(&program, root)?;
+        let (code, tables) = sizes(&std::fs::read(&program)?)?;
+        numbers.insert("bytes code".to_owned(), code);
+        numbers.insert("bytes tables".to_owned(), tables);
+        numbers.insert("bytes flash".to_owned(), code + tables);
+        Ok(numbers)
+    }
+
+    /// Builds an example for a target.
+    fn build(root: &Path, target: &str, example: &str) -> Result<PathBuf> {
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
         let arguments = [
             "build",
@@ -84,7 +143,7 @@ mod host {
             "-p",
             "lipstream-tests",
             "--example",
-            "frontend_cost",
+            example,
         ];
         let status = Command::new(cargo)
             .current_dir(root)
@@ -92,10 +151,15 @@ mod host {
             .args(["--target", target])
             .status()?;
         if !status.success() {
-            bail!("cannot build frontend_cost for {target} (`rustup target add {target}`?)");
+            bail!("cannot build {example} for {target} (`rustup target add {target}`?)");
         }
         let folder = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-        let program = folder.join(target).join("release/examples/frontend_cost");
+        Ok(folder.join(target).join("release/examples").join(example))
+    }
+
+    /// Runs a counting program in QEMU in `folder`: lines of a name and a number.
+    fn run(program: &Path, folder: &Path) -> Result<Numbers> {
+        let program = program.canonicalize()?;
         let output = Command::new("qemu-system-arm")
             .args([
                 "-machine",
@@ -111,21 +175,18 @@ mod host {
             .args(["-semihosting-config", "enable=on,target=native"])
             .arg("-kernel")
             .arg(&program)
+            .current_dir(folder)
             .output()
             .context("qemu-system-arm (Debian's package of that name) is needed")?;
         let text = String::from_utf8_lossy(&output.stdout);
         if !output.status.success() {
-            bail!("frontend_cost failed on {target}: {text}");
+            bail!("{} failed: {text}", program.display());
         }
         let mut numbers = Numbers::new();
         for line in text.lines() {
             let (name, value) = line.rsplit_once(' ').context("a line without a number")?;
             numbers.insert(name.to_owned(), value.parse()?);
         }
-        let (code, tables) = sizes(&std::fs::read(&program)?)?;
-        numbers.insert("bytes code".to_owned(), code);
-        numbers.insert("bytes tables".to_owned(), tables);
-        numbers.insert("bytes flash".to_owned(), code + tables);
         Ok(numbers)
     }
 
@@ -159,19 +220,27 @@ mod host {
         format!("| {label} | {} |\n", values.join(" | "))
     }
 
-    fn render(columns: &[Numbers]) -> String {
+    fn render(columns: &[Numbers], stream: &Numbers) -> String {
         let mut table =
             String::from("| | Cortex-M4 (`thumbv7em`) | Cortex-M0+ (`thumbv6m`) |\n|---|---|---|\n");
         for (name, label) in ROWS {
             table += &row(name, label, columns);
         }
-        include_str!("cost.md.in").replace("TABLE\n", &table)
+        let mut of_stream = String::from("| | Cortex-M4 |\n|---|---|\n");
+        for (name, label) in STREAM_ROWS {
+            of_stream += &row(name, label, std::slice::from_ref(stream));
+        }
+        include_str!("cost.md.in")
+            .replace("STREAM\n", &of_stream)
+            .replace("TABLE\n", &table)
     }
 
     /// Every number of the committed table, against what was measured now.
-    fn compare(text: &str, columns: &[Numbers]) -> Result<()> {
+    fn compare(text: &str, columns: &[Numbers], stream: &Numbers) -> Result<()> {
         let mut worse = Vec::new();
-        for (name, label) in ROWS {
+        let rows = ROWS.iter().map(|row| (row, columns));
+        let of_stream = STREAM_ROWS.iter().map(|row| (row, std::slice::from_ref(stream)));
+        for ((name, label), columns) in rows.chain(of_stream) {
             let line = text
                 .lines()
                 .find(|line| line.starts_with(&format!("| {label} |")))
@@ -186,7 +255,7 @@ mod host {
                     .parse()
                     .with_context(|| format!("docs/cost.md, row {label}"))?;
                 let is = *numbers
-                    .get(name)
+                    .get(*name)
                     .with_context(|| format!("{name} was not measured"))?;
                 println!("{target:22} {label:34} {was:7} → {is:7}");
                 if is * 100 > was * 105 {
@@ -198,6 +267,12 @@ mod host {
         if whole > MOST_INSTRUCTIONS {
             worse.push(format!(
                 "a hop costs {whole} instructions on Cortex-M4, more than {MOST_INSTRUCTIONS}"
+            ));
+        }
+        let of_stream = (stream["instructions mean"], stream["instructions worst"]);
+        if of_stream.0 > MOST_OF_STREAM.0 || of_stream.1 > MOST_OF_STREAM.1 {
+            worse.push(format!(
+                "a hop of the stream costs {of_stream:?} instructions on average and at worst, more than {MOST_OF_STREAM:?}"
             ));
         }
         if !worse.is_empty() {

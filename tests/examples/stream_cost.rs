@@ -7,7 +7,7 @@
 #[cfg(not(target_os = "none"))]
 fn main() {
     eprintln!(
-        "stream_cost runs in QEMU: use `cargo run -p lipstream-tests --example cost -- --stream FOLDER`"
+        "stream_cost runs in QEMU: use `cargo run -p lipstream-tests --example cost -- --stream TABLES SOUND`"
     );
 }
 
@@ -25,7 +25,7 @@ mod target {
     use lipstream_core::mge::rows;
     use lipstream_core::model::Model;
     use lipstream_core::model::field::{Matrix, limit};
-    use lipstream_core::stream::{Settings, Stream};
+    use lipstream_core::stream::{self, Settings, Stream};
     use semihosting::fs::File;
     use semihosting::io::Read;
     use semihosting::{println, process};
@@ -166,6 +166,10 @@ mod target {
         println!("active mean {}", active / u64::from(hops));
         println!("active most {}", most);
         println!("bytes stream {}", size_of::<Stream>());
+        println!(
+            "bytes memory_stream {}",
+            size_of::<Stream<{ stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>>()
+        );
         process::exit(0)
     }
 

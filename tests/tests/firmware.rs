@@ -243,3 +243,47 @@ fn damaged_tables_are_refused() {
     assert!(said.starts_with("lipstream: model is damaged"), "{said}");
     assert_eq!(said.trim_end().lines().count(), 1, "{said}");
 }
+
+/// Ten minutes of many speakers' speech through the firmware: the host's bytes. Needs LIPSTREAM_RESEARCH.
+#[test]
+fn ten_minutes_of_speech_give_the_hosts_bytes() {
+    let Some(shared) = std::env::var_os("LIPSTREAM_RESEARCH") else {
+        println!("skipped: LIPSTREAM_RESEARCH is not set");
+        return;
+    };
+    const LENGTH: usize = 10 * 60 * 16_000;
+    let mut sounds = Vec::new();
+    let mut folders = vec![PathBuf::from(shared).join("data/timit-sample")];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(&folder).expect("the corpus") {
+            let path = entry.expect("the corpus").path();
+            match path.extension().and_then(|e| e.to_str()) {
+                Some("wav") => sounds.push(path),
+                _ if path.is_dir() => folders.push(path),
+                _ => (),
+            }
+        }
+    }
+    sounds.sort();
+    assert!(!sounds.is_empty(), "no sound in the corpus");
+    let samples: Vec<i16> = sounds
+        .iter()
+        .cycle()
+        .flat_map(|path| lipstream::audio::read(path).expect("speech").samples)
+        .take(LENGTH)
+        .collect();
+    let firmware = firmware();
+    let model = Model::new_checked(&firmware.tables).unwrap();
+    let (sent, _) = run_on_file(
+        &firmware.program,
+        &common::folder("firmware-ten-minutes"),
+        &samples,
+    );
+    let mut link = Link::new(Some(model.id()));
+    let mut messages = Vec::new();
+    link.push(&sent, |message| messages.push(message)).unwrap();
+    assert_eq!(link.losses(), Losses::default());
+    let device = frames(&messages);
+    assert_eq!(device.len(), (LENGTH - 400) / 160 + 1);
+    assert_same(&device, &host(&model, Settings::of(Profile::Standard), &samples));
+}

@@ -22,6 +22,7 @@ pub const DELTA_HOPS: usize = crate::frontend::OBSERVATION_DELAY;
 
 /// Run-time settings; None is the model's own.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Settings {
     /// Hops that an occupancy waits for, beyond the look-ahead of ΔΔ; held to what the window has room for.
     pub lag: Option<u16>,

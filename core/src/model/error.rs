@@ -5,6 +5,7 @@ use super::field::Section;
 
 /// A size of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Size {
     Phones,
     Densities,
@@ -19,6 +20,7 @@ pub enum Size {
 
 /// Why bytes are no model that this core can run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ModelError {
     /// Fewer bytes than header and checksum take, or than the header says.
     TooShort { have: usize, need: usize },

@@ -57,6 +57,7 @@ pub const ALIGNMENT: usize = 4;
 /// The sections, by tag. Every model has all of them; those of the other kind of model are empty: a model with a memory
 /// (H > 0, see [`crate::mge`]) has no densities and no local linear maps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u16)]
 pub enum Section {
     /// Sizes, see [`shape`].

@@ -3,7 +3,8 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 
-use crate::export::{ExportSettings, MgeSettings, export, export_mge};
+use crate::export::budget::{self, Budget, Candidate};
+use crate::export::{Export, ExportSettings, MgeSettings, export, export_mge};
 use crate::files;
 use crate::mge::model::MgeModel;
 use crate::model::Model;
@@ -12,8 +13,9 @@ use crate::tensors::Tensors;
 /// Write the device's quantised tables
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Model that `lipstream train` wrote (.safetensors)
-    model: PathBuf,
+    /// Model that `lipstream train` wrote (.safetensors); of several the best that fits is written
+    #[arg(required = true, value_name = "MODEL.safetensors")]
+    models: Vec<PathBuf>,
     /// Tables to write
     #[arg(short, long)]
     output: PathBuf,
@@ -29,47 +31,55 @@ pub(crate) struct Args {
     /// Leave out the average over three frames (10 ms less delay)
     #[arg(long)]
     no_average: bool,
-    /// Refuse tables larger than this many KiB
+    /// Take tables of this many KiB at most
     #[arg(long, value_name = "KIB")]
     flash: Option<usize>,
+    /// Take a model whose 10 ms hop costs this many instructions of a Cortex-M4 at most, on average over speech; its beam is
+    /// narrowed to fit
+    #[arg(long, value_name = "N")]
+    cycles: Option<f64>,
     /// Print sizes and errors as JSON
     #[arg(long)]
     json: bool,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let exported = if MgeModel::is_kind(&Tensors::read(&args.model)?) {
-        if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average {
-            bail!(
-                "{} was trained on the error of its mouth: it has no lag, no acoustic scale and no average to set",
-                args.model.display()
-            );
+    let budget = Budget {
+        bytes: args.flash.map(|kib| kib * 1024),
+        instructions: args.cycles,
+    };
+    let (exported, candidates) = candidates(&args)?;
+    let Some(chosen) = budget::choose(&candidates, &budget) else {
+        bail!(
+            "no model fits the budget; {}: train with fewer densities, inputs, numbers of memory or phones",
+            candidates
+                .iter()
+                .map(|c| said(&args, c))
+                .collect::<Vec<_>>()
+                .join("; ")
+        );
+    };
+    if candidates.len() > 1 && !args.json {
+        for (n, candidate) in candidates.iter().enumerate() {
+            let fate = match candidate.fits(&budget) {
+                _ if n == chosen => "chosen",
+                true => "fits",
+                false => "too large",
+            };
+            println!("{}: {fate}", said(&args, candidate));
         }
-        let own = MgeSettings::default();
-        let settings = MgeSettings {
-            beam_bits: args.beam.unwrap_or(own.beam_bits),
-        };
-        export_mge(&MgeModel::read(&args.model)?, &settings)?
-    } else {
-        let model = Model::read(&args.model)?;
-        let own = ExportSettings::of(&model);
-        let settings = ExportSettings {
-            lag: args.lag.unwrap_or(own.lag),
-            beam_bits: args.beam.unwrap_or(own.beam_bits),
-            acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
-            average: !args.no_average,
-        };
-        export(&model, &settings)?
+    }
+    let chosen = &candidates[chosen];
+    let exported = match &exported[chosen.model] {
+        Ready::Linear(exported) => exported,
+        Ready::Memory(model) => &export_mge(
+            model,
+            &MgeSettings {
+                beam_bits: chosen.beam_bits,
+            },
+        )?,
     };
     let size = exported.bytes.len();
-    if let Some(flash) = args.flash
-        && size > flash * 1024
-    {
-        bail!(
-            "the tables take {:.1} KiB, more than {flash}: train with fewer densities, inputs or phones",
-            size as f64 / 1024.0
-        );
-    }
     files::write_bytes(&args.output, &exported.bytes)?;
     if args.json {
         let report = serde_json::json!({ "bytes": size, "sections": exported.report });
@@ -95,4 +105,81 @@ pub(crate) fn run(args: Args) -> Result<()> {
         size as f64 / 1024.0
     );
     Ok(())
+}
+
+/// A model that has been read, or exported already.
+enum Ready {
+    Linear(Export),
+    Memory(Box<MgeModel>),
+}
+
+/// Beams that a budget of instructions may choose from, in bits below the widest.
+const NARROWER: [f64; 5] = [0.0, 1.0, 2.0, 3.0, 4.0];
+
+fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
+    let (mut ready, mut all) = (Vec::new(), Vec::new());
+    for (n, path) in args.models.iter().enumerate() {
+        if MgeModel::is_kind(&Tensors::read(path)?) {
+            if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average {
+                bail!(
+                    "{} was trained on the error of its mouth: it has no lag, no acoustic scale and no average to set",
+                    path.display()
+                );
+            }
+            let model = MgeModel::read(path)?;
+            let widest = args.beam.unwrap_or(MgeSettings::default().beam_bits);
+            let bytes = export_mge(&model, &MgeSettings { beam_bits: widest })?
+                .bytes
+                .len();
+            let narrower = match (args.beam, args.cycles) {
+                (None, Some(_)) => &NARROWER[..],
+                _ => &NARROWER[..1],
+            };
+            all.extend(narrower.iter().map(|less| Candidate {
+                model: n,
+                beam_bits: widest - less,
+                bytes,
+                instructions: Some(budget::instructions(&model, widest - less)),
+                validation: model.validation_amse,
+            }));
+            ready.push(Ready::Memory(Box::new(model)));
+        } else {
+            let model = Model::read(path)?;
+            let own = ExportSettings::of(&model);
+            let settings = ExportSettings {
+                lag: args.lag.unwrap_or(own.lag),
+                beam_bits: args.beam.unwrap_or(own.beam_bits),
+                acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
+                average: !args.no_average,
+            };
+            let exported = export(&model, &settings)?;
+            all.push(Candidate {
+                model: n,
+                beam_bits: settings.beam_bits,
+                bytes: exported.bytes.len(),
+                instructions: None,
+                validation: None,
+            });
+            ready.push(Ready::Linear(exported));
+        }
+    }
+    Ok((ready, all))
+}
+
+/// A candidate in words.
+fn said(args: &Args, candidate: &Candidate) -> String {
+    let work = match candidate.instructions {
+        Some(n) => format!("about {:.0} k instructions a hop", n / 1000.0),
+        None => "instructions unknown".to_owned(),
+    };
+    let error = match candidate.validation {
+        Some(amse) => format!(", validation AMSE {amse:.0}"),
+        None => String::new(),
+    };
+    format!(
+        "{}, beam {} bits: {:.1} KiB, {work}{error}",
+        args.models[candidate.model].display(),
+        candidate.beam_bits,
+        candidate.bytes as f64 / 1024.0
+    )
 }

@@ -2,6 +2,7 @@
 //!
 //! The layout of the tables is [`lipstream_core::model::field`]; equal models give equal bytes. [`tables`] has what
 //! every model has, [`local_linear`] and [`mge`] what their kind needs.
+pub mod budget;
 mod local_linear;
 mod mge;
 mod tables;

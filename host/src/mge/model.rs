@@ -34,6 +34,8 @@ pub struct MgeModel {
     pub deviation: Vec<f32>,
     /// Occupancies up to this are left out of the maps.
     pub least: f32,
+    /// AMSE of the clips that chose the parameters, at the full look-ahead; none without such clips.
+    pub validation_amse: Option<f64>,
     pub provenance: String,
 }
 
@@ -67,6 +69,9 @@ impl MgeModel {
         out.note("mge.maps", gate_name(shape.maps));
         out.note("mge.rates", gate_name(shape.rates));
         out.note("mge.least", self.least);
+        if let Some(amse) = self.validation_amse {
+            out.note("mge.validation_amse", amse);
+        }
         out.put("mge.scale", &Array1::from(self.scale.clone()));
         out.put("mge.context_mean", &Array1::from(self.context_mean.clone()));
         out.put("mge.deviation", &Array1::from(self.deviation.clone()));
@@ -163,6 +168,7 @@ impl MgeModel {
             scale: from.array::<ndarray::Ix1>("mge.scale")?.to_vec(),
             deviation: from.array::<ndarray::Ix1>("mge.deviation")?.to_vec(),
             least: from.noted("mge.least")?,
+            validation_amse: from.noted("mge.validation_amse").ok(),
             provenance: from.noted("provenance")?,
             twin,
             parameters,

@@ -77,6 +77,7 @@ mod tests {
             scale: vec![1.0; 13],
             deviation: vec![1.0; 5],
             least: 0.0,
+            validation_amse: None,
             provenance: String::new(),
             twin,
             parameters,

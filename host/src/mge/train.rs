@@ -154,9 +154,14 @@ pub fn train_on(
         }
     }
     say(&format!("the parameters after pass {} are kept", best.pass));
+    let validation_amse = (!data.validation.is_empty()).then(|| {
+        let ahead = settings.context.look_ahead();
+        judged(&trainer, &best.parameters, ahead).score.amse()
+    });
     Ok(MgeModel {
         twin: twin.clone(),
         parameters: best.parameters,
+        validation_amse,
         context_mean: trainer.context_mean,
         scale: data.scale.clone(),
         deviation: data.deviation.clone(),
@@ -224,17 +229,7 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
     };
     let seen: Vec<Judgement> = look_aheads
         .iter()
-        .map(|&ahead| {
-            judge(
-                &optimiser.mean,
-                &trainer.chain,
-                &trainer.context_mean,
-                &data.deviation,
-                &data.validation,
-                ahead,
-                LEAST,
-            )
-        })
+        .map(|&ahead| judged(trainer, &optimiser.mean, ahead))
         .collect();
     let amse = seen.iter().map(|s| s.score.amse()).sum::<f64>() / seen.len() as f64;
     if !amse.is_finite() {
@@ -265,6 +260,20 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
         })
         .collect();
     Ok(format!("validation {}", said.join("; ")))
+}
+
+/// Parameters on the validation clips.
+fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Judgement {
+    let data = trainer.data;
+    judge(
+        parameters,
+        &trainer.chain,
+        &trainer.context_mean,
+        &data.deviation,
+        &data.validation,
+        ahead,
+        LEAST,
+    )
 }
 
 /// A number that settings and data share with no other run (FNV-1a).

@@ -1,0 +1,140 @@
+//! What the shipped model's mouth does where nobody speaks: after speech, in noise, breath, clicks and hum.
+use lipstream::audio;
+use lipstream::engine::stream;
+use lipstream::evaluate::gap::Lips;
+use lipstream::mouth::MouthSpace;
+use lipstream::tensors::Tensors;
+use lipstream_core::model::Model;
+use lipstream_core::stream::Settings;
+use ndarray::{Array2, Array4};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const TABLES: &[u8] = include_bytes!("../../models/grid-s1.tables");
+const MODEL: &[u8] = include_bytes!("../../models/grid-s1.safetensors");
+/// Frames of 200 ms.
+const SETTLED: usize = 20;
+
+/// The drawn mouth's gap in pixels, and how far its parameters move from frame to frame.
+struct Mouth {
+    gap: Vec<f32>,
+    motion: Vec<f32>,
+    closed_below: f32,
+}
+
+fn images(space: &MouthSpace, parameters: &Array2<f32>) -> Array4<u8> {
+    let mut out = Array4::zeros((parameters.nrows(), space.height, space.width, 3));
+    for (mut image, row) in out.outer_iter_mut().zip(parameters.rows()) {
+        let pixels = space.expand(row);
+        for (to, from) in image.iter_mut().zip(&pixels) {
+            *to = from.round().clamp(0.0, 255.0) as u8;
+        }
+    }
+    out
+}
+
+/// `sound` through the device's stream, drawn; lips are learnt on the mouths of [`speech`].
+fn watch(sound: &[i16]) -> Mouth {
+    let tables = Model::new_checked(TABLES).unwrap();
+    let tensors = Tensors::parse(MODEL, "the shipped model").unwrap();
+    let space = MouthSpace::load(&tensors).unwrap();
+    let say = |samples: &[i16]| stream(&tables, samples, Settings::default()).unwrap().parameters;
+    let lips = Lips::learn(images(&space, &say(&speech())).view()).expect("lips in the drawn mouth");
+    let said = say(sound);
+    let motion = (1..said.nrows())
+        .map(|t| {
+            let step = &said.row(t) - &said.row(t - 1);
+            step.dot(&step).sqrt()
+        })
+        .collect();
+    Mouth {
+        gap: lips
+            .gaps(images(&space, &said).view())
+            .expect("lips in every picture"),
+        motion,
+        closed_below: lips.closed_below(),
+    }
+}
+
+fn speech() -> Vec<i16> {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/hello.wav");
+    audio::read(&path).unwrap().samples
+}
+
+fn mean(values: &[f32]) -> f32 {
+    values.iter().sum::<f32>() / values.len() as f32
+}
+
+fn noise(samples: usize, amplitude: f32, rng: &mut Pcg64) -> Vec<i16> {
+    (0..samples)
+        .map(|_| (amplitude * rng.random_range(-1.0f32..1.0)) as i16)
+        .collect()
+}
+
+/// Sounds of two seconds that are no speech, and the share of speech's motion that the mouth may keep in them.
+fn no_speech(rng: &mut Pcg64) -> [(&'static str, Vec<i16>, f32); 6] {
+    const LENGTH: usize = 32_000;
+    let tau = |hz: f32, n: usize| (std::f32::consts::TAU * hz * n as f32 / 16_000.0).sin();
+    let breath = (0..LENGTH)
+        .scan(0.0f32, |low, n| {
+            let swell = tau(0.5, n).abs();
+            *low += 0.3 * (rng.random_range(-1.0f32..1.0) - *low);
+            Some((300.0 * swell * *low) as i16)
+        })
+        .collect();
+    let click = |n: usize| {
+        if n % 8_000 < 10 {
+            6_000 - 600 * (n % 8_000) as i16
+        } else {
+            0
+        }
+    };
+    [
+        ("digital silence", vec![0; LENGTH], 0.1),
+        ("quiet hiss", noise(LENGTH, 30.0, rng), 0.5),
+        ("loud hiss", noise(LENGTH, 1_000.0, rng), 0.5),
+        ("breath", breath, 0.5),
+        ("clicks", (0..LENGTH).map(click).collect(), 0.5),
+        (
+            "hum of 50 and 150 Hz",
+            (0..LENGTH)
+                .map(|n| (500.0 * tau(50.0, n) + 250.0 * tau(150.0, n)) as i16)
+                .collect(),
+            0.2,
+        ),
+    ]
+}
+
+#[test]
+fn the_mouth_opens_in_speech() {
+    let mouth = watch(&speech());
+    let open = mouth.gap.iter().filter(|g| **g > mouth.closed_below).count();
+    assert!(open > mouth.gap.len() / 2, "{open} of {} frames", mouth.gap.len());
+}
+
+/// Closed in every frame, and nearly still, from 200 ms after the last word on; also where nobody has spoken yet.
+#[test]
+fn the_mouth_stays_closed_where_nobody_speaks() {
+    let rng = &mut Pcg64::seed_from_u64(5);
+    let speech = speech();
+    let talking = mean(&watch(&speech).motion);
+    for (name, sound, share) in no_speech(rng) {
+        for before in [&speech[..], &[]] {
+            let mouth = watch(&[before, &sound].concat());
+            let from = before.len() / 160 + SETTLED;
+            let widest = mouth.gap[from..].iter().fold(0.0f32, |m, g| m.max(*g));
+            let moved = mean(&mouth.motion[from..]) / talking;
+            let when = if before.is_empty() {
+                "alone"
+            } else {
+                "after speech"
+            };
+            assert!(
+                widest < mouth.closed_below,
+                "{name} {when}: a gap of {widest} px, closed is below {}",
+                mouth.closed_below
+            );
+            assert!(moved < share, "{name} {when}: {moved} of the motion in speech");
+        }
+    }
+}
