@@ -5,7 +5,8 @@ use lipstream::evaluate::gap::Lips;
 use lipstream::mouth::MouthSpace;
 use lipstream::tensors::Tensors;
 use lipstream_core::model::Model;
-use lipstream_core::stream::Settings;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{Settings, Stream};
 use ndarray::{Array2, Array4};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -137,4 +138,33 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
             assert!(moved < share, "{name} {when}: {moved} of the motion in speech");
         }
     }
+}
+
+/// Ten minutes of noise whose level jumps: a frame each 10 ms to the end, and a stream that is as new after `reset`.
+#[test]
+fn ten_minutes_of_noise_leave_a_stream_as_good_as_new() {
+    let tables = Model::new_checked(TABLES).unwrap();
+    let speech = speech();
+    let run = |stream: &mut Stream, samples: &[i16]| -> Vec<ParameterFrame> {
+        let (mut rest, mut said) = (samples, Vec::new());
+        while !rest.is_empty() {
+            let (taken, frame) = stream.push(rest);
+            rest = &rest[taken..];
+            said.extend(frame);
+        }
+        said
+    };
+    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    let fresh = run(&mut stream, &speech);
+    stream.reset();
+    let rng = &mut Pcg64::seed_from_u64(9);
+    let mut frames = 0;
+    for second in 0..600 {
+        let level = [30.0, 3_000.0, 40_000.0, 0.5][second % 4];
+        frames += run(&mut stream, &noise(16_000, level, rng)).len();
+    }
+    let waiting = (stream.delay_samples() - 200) / 160;
+    assert_eq!(frames, (600 * 16_000 - 400) / 160 + 1 - waiting);
+    stream.reset();
+    assert!(run(&mut stream, &speech) == fresh);
 }

@@ -354,6 +354,56 @@ fn conversion_by_means_is_the_em_of_all_paths_and_never_less_likely() {
 }
 
 /// Expected counts of one utterance over all paths: choices of every row, occupancy of every component, and their sums.
+/// With a window as long as the utterance and no exponent on the mouth, the last sweep is one EM step over all paths, from what
+/// the sweeps before it and the last frame's sound have left.
+#[test]
+fn live_feedback_ends_in_a_step_over_all_paths() {
+    for (n, system) in hmms().enumerate() {
+        let tiny = Tiny::new(system, 40 + n as u64);
+        let (sound, _) = observations(80 + n as u64);
+        let with = EmSettings {
+            acoustic_scale: 0.6,
+            visual_exponent: 0.0,
+            iterations: 1,
+            m_step: MStep::Exact,
+        };
+        let inverter = Inverter::new(tiny.hmm());
+        let earlier = sound.slice(ndarray::s![..FRAMES - 1, ..]).to_owned();
+        let mut mouth = Array2::<f32>::zeros((FRAMES, 2));
+        mouth
+            .slice_mut(ndarray::s![..FRAMES - 1, ..])
+            .assign(&inverter.convert_live(&earlier, &with, FRAMES).unwrap());
+        // Without exponent the occupancies of states do not depend on the mouth.
+        let (_, gamma) = inverted(&tiny, &sound, &mouth, &with);
+        for ((v, _), g) in gamma.index_axis(ndarray::Axis(0), FRAMES - 1).indexed_iter() {
+            for k in 0..tiny.visual.mean.dim().1 {
+                let weight = f64::from(tiny.visual.log_weight[[v, k]]).exp();
+                for i in 0..2 {
+                    mouth[[FRAMES - 1, i]] += (g * weight * f64::from(tiny.visual.mean[[v, k, i]])) as f32;
+                }
+            }
+        }
+        let (_, gamma) = inverted(&tiny, &sound, &mouth, &with);
+        let said = inverter.convert_live(&sound, &with, FRAMES).unwrap();
+        for t in 0..FRAMES {
+            for i in 0..2 {
+                let (mut precision, mut weighted) = (0.0, 0.0);
+                for ((v, k), g) in gamma.index_axis(ndarray::Axis(0), t).indexed_iter() {
+                    let p = g / f64::from(tiny.visual.variance[[v, k, i]]);
+                    precision += p;
+                    weighted += p * f64::from(tiny.visual.mean[[v, k, i]]);
+                }
+                let (have, want) = (f64::from(said[[t, i]]), weighted / precision);
+                assert!(
+                    (have - want).abs() < 1e-3,
+                    "{}: frame {t}: {have} against {want}",
+                    system.name
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn re_estimates_are_those_of_all_paths() {
     // One phone of five states in nine frames; then what EM says it saw.

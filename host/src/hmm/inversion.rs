@@ -182,10 +182,27 @@ impl<'a> Inverter<'a> {
         settings: &EmSettings,
         lag: Option<usize>,
     ) -> Result<Step> {
-        let (states, k, size) = self.hmm.visual.mean.dim();
         let frames = mouth.nrows();
-        let kappa = settings.visual_exponent;
-        // ln w_k N_k(ôᵛ) of every component, without κ; and of every state, ready to be an emission.
+        let (state, component) = self.see(heard, mouth, settings.visual_exponent);
+        let emission = |t: usize, s: usize| self.emission(heard, &state, t, s);
+        let forward = forward(&self.graph, &self.probability, frames, &emission)
+            .context("the audio observations are not finite")?;
+        let gamma = match lag {
+            None => forward.backward(&self.graph, &self.probability, |_, _, _| ()),
+            Some(lag) => forward.fixed_lag(&self.graph, &self.probability, lag),
+        };
+        let (occupancy, next) = self.maximise(&gamma, &component, settings.m_step);
+        Ok(Step {
+            next,
+            occupancy,
+            log_likelihood: forward.log_likelihood / frames.max(1) as f64,
+        })
+    }
+
+    /// ln b_v(ôᵛ)^κ of every state, ready to be an emission (with the sound where densities are joint), and the logs of its
+    /// components.
+    fn see(&self, heard: &Heard, mouth: &Array2<f32>, kappa: f32) -> (Array2<f32>, Array3<f32>) {
+        // ln w_k N_k(ôᵛ) of every component, without κ.
         let (mut state, mut component) = self.visual.log_components(mouth.view());
         match &heard.component {
             None => state *= kappa,
@@ -204,22 +221,28 @@ impl<'a> Inverter<'a> {
                 }
             }
         }
-        let joint = heard.component.is_some();
-        let emission = |t: usize, s: usize| {
-            let at = self.graph.states[s];
-            let sound = if joint {
-                0.0
-            } else {
-                f64::from(heard.state[[t, at.audio]])
-            };
-            sound + f64::from(state[[t, at.visual]])
+        (state, component)
+    }
+
+    fn emission(&self, heard: &Heard, state: &Array2<f32>, t: usize, s: usize) -> f64 {
+        let at = self.graph.states[s];
+        let sound = if heard.component.is_some() {
+            0.0
+        } else {
+            f64::from(heard.state[[t, at.audio]])
         };
-        let forward = forward(&self.graph, &self.probability, frames, &emission)
-            .context("the audio observations are not finite")?;
-        let gamma = match lag {
-            None => forward.backward(&self.graph, &self.probability, |_, _, _| ()),
-            Some(lag) => forward.fixed_lag(&self.graph, &self.probability, lag),
-        };
+        sound + f64::from(state[[t, at.visual]])
+    }
+
+    /// Occupancies of the visual states `[frames, visual states]`, and the M step: the mouth `[frames, D]`.
+    fn maximise(
+        &self,
+        gamma: &Array2<f64>,
+        component: &Array3<f32>,
+        how: MStep,
+    ) -> (Array2<f32>, Array2<f32>) {
+        let (states, k, size) = self.hmm.visual.mean.dim();
+        let frames = gamma.nrows();
         let mut occupancy = Array2::<f32>::zeros((frames, states));
         let mut next = Array2::<f32>::zeros((frames, size));
         let (mut precision, mut weighted) = (vec![0.0f64; size], vec![0.0f64; size]);
@@ -237,7 +260,7 @@ impl<'a> Inverter<'a> {
                 let total = log_sum(component.slice(s![t, s, ..]).iter().copied());
                 for k in 0..k {
                     let mut gamma = f64::from(share) * f64::from((component[[t, s, k]] - total).exp());
-                    if settings.m_step == MStep::Printed {
+                    if how == MStep::Printed {
                         gamma *= f64::from(self.hmm.visual.log_weight[[s, k]]).exp();
                     }
                     if gamma > 0.0 {
@@ -253,11 +276,132 @@ impl<'a> Inverter<'a> {
                 next[[t, i]] = (weighted[i] / precision[i]) as f32;
             }
         }
-        Ok(Step {
-            next,
-            occupancy,
-            log_likelihood: forward.log_likelihood / frames.max(1) as f64,
-        })
+        (occupancy, next)
+    }
+
+    /// The paper's re-estimation inside a stream's window: with every incoming frame one E and one M step over the last
+    /// `lag` frames and the new one, whose mouth begins at what the sound alone says. A frame is given out as it leaves the
+    /// window, and the forward variable moves on with what it was.
+    pub fn convert_live(
+        &self,
+        observations: &Array2<f32>,
+        settings: &EmSettings,
+        lag: usize,
+    ) -> Result<Array2<f32>> {
+        let heard = self.hear(observations, settings.acoustic_scale);
+        let frames = observations.nrows();
+        let n = self.graph.states.len();
+        let mut mouth = Array2::<f32>::zeros((frames, self.centre.ncols()));
+        // α of the frame before the window.
+        let mut before: Option<Vec<f64>> = None;
+        for t in 0..frames {
+            let first = t.saturating_sub(lag);
+            let part = Heard {
+                state: heard.state.slice(s![first..=t, ..]).to_owned(),
+                component: heard
+                    .component
+                    .as_ref()
+                    .map(|c| c.slice(s![first..=t, .., ..]).to_owned()),
+            };
+            let length = t + 1 - first;
+            let mut window = mouth.slice(s![first..=t, ..]).to_owned();
+            // The new frame is heard, not seen yet: its mouth is the centres of the states that its sound leaves.
+            let (mut state, _) = self.see(&part, &window, settings.visual_exponent);
+            if part.component.is_none() {
+                state.row_mut(length - 1).fill(0.0);
+            } else if let Some(sound) = &part.component {
+                for s in 0..state.ncols() {
+                    state[[length - 1, s]] = log_sum(sound.slice(s![length - 1, s, ..]).iter().copied());
+                }
+            }
+            let alpha = self.follow(&part, &state, before.as_deref(), length)?;
+            let mut centre = vec![0.0f64; mouth.ncols()];
+            for (s, at) in self.graph.states.iter().enumerate() {
+                let weight = alpha[[length - 1, s]];
+                if weight > 1e-7 {
+                    for (c, m) in centre.iter_mut().zip(self.centre.row(at.visual)) {
+                        *c += weight * f64::from(*m);
+                    }
+                }
+            }
+            for (to, c) in window.row_mut(length - 1).iter_mut().zip(&centre) {
+                *to = *c as f32;
+            }
+            let (state, component) = self.see(&part, &window, settings.visual_exponent);
+            let alpha = self.follow(&part, &state, before.as_deref(), length)?;
+            let mut gamma = Array2::<f64>::zeros((length, n));
+            let mut beta = vec![1.0f64; n];
+            for u in (0..length).rev() {
+                let sum: f64 = (0..n).map(|s| alpha[[u, s]] * beta[s]).sum();
+                for s in 0..n {
+                    gamma[[u, s]] = alpha[[u, s]] * beta[s] / sum;
+                }
+                if u > 0 {
+                    let logs: Vec<f64> = (0..n).map(|s| self.emission(&part, &state, u, s)).collect();
+                    let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+                    let worth: Vec<f64> = (0..n).map(|s| (logs[s] - most).exp() * beta[s]).collect();
+                    let mut earlier = vec![0.0f64; n];
+                    for (s, to) in earlier.iter_mut().enumerate() {
+                        for arc in self.graph.first[s]..self.graph.first[s + 1] {
+                            *to += self.probability[arc] * worth[self.graph.arcs[arc].to as usize];
+                        }
+                    }
+                    let largest = earlier.iter().copied().fold(1e-300, f64::max);
+                    beta = earlier.iter().map(|b| b / largest).collect();
+                }
+            }
+            let (_, next) = self.maximise(&gamma, &component, settings.m_step);
+            mouth.slice_mut(s![first..=t, ..]).assign(&next);
+            if t >= lag {
+                before = Some(alpha.row(0).to_vec());
+            }
+        }
+        Ok(mouth)
+    }
+
+    /// α over a window, every frame's sum 1, on from the frame before it.
+    fn follow(
+        &self,
+        heard: &Heard,
+        state: &Array2<f32>,
+        before: Option<&[f64]>,
+        length: usize,
+    ) -> Result<Array2<f64>> {
+        let n = self.graph.states.len();
+        let mut alpha = Array2::<f64>::zeros((length, n));
+        for u in 0..length {
+            let mut now = vec![0.0f64; n];
+            let last = match u {
+                0 => before.map(<[f64]>::to_vec),
+                _ => Some(alpha.row(u - 1).to_vec()),
+            };
+            match last {
+                None => {
+                    for &(state, log) in &self.graph.entries {
+                        now[state] = f64::from(log).exp();
+                    }
+                }
+                Some(last) => {
+                    for (s, weight) in last.iter().enumerate().filter(|(_, w)| **w > 1e-30) {
+                        for arc in self.graph.first[s]..self.graph.first[s + 1] {
+                            now[self.graph.arcs[arc].to as usize] += weight * self.probability[arc];
+                        }
+                    }
+                }
+            }
+            let logs: Vec<f64> = (0..n).map(|s| self.emission(heard, state, u, s)).collect();
+            let reached = (0..n).filter(|s| now[*s] > 0.0).map(|s| logs[s]);
+            let most = reached.fold(f64::NEG_INFINITY, f64::max);
+            now.iter_mut()
+                .zip(&logs)
+                .for_each(|(a, log)| *a *= (log - most).exp());
+            let sum: f64 = now.iter().sum();
+            anyhow::ensure!(sum.is_finite() && sum > 0.0, "the observations are not finite");
+            for (s, value) in now.iter().enumerate() {
+                alpha[[u, s]] = value / sum;
+            }
+        }
+        Ok(alpha)
     }
 }
 
