@@ -181,7 +181,20 @@ fn export_and_convert() {
             "100",
         ],
     );
-    assert!(error.contains("100"), "{error}");
+    assert!(error.contains("100 KiB"), "{error}");
+    // What a model by likelihood costs nobody has a formula for: it is not promised.
+    let error = refuse(
+        &folder,
+        &[
+            "export",
+            "model.safetensors",
+            "-o",
+            "big.tables",
+            "--cycles",
+            "9000000",
+        ],
+    );
+    assert!(error.contains("instructions unknown"), "{error}");
     assert!(!folder.join("big.tables").exists());
 }
 

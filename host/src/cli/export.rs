@@ -50,8 +50,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     let (exported, candidates) = candidates(&args)?;
     let Some(chosen) = budget::choose(&candidates, &budget) else {
+        let limits = [
+            args.flash.map(|kib| format!("{kib} KiB")),
+            args.cycles.map(|n| format!("{n} instructions a hop")),
+        ];
         bail!(
-            "no model fits the budget; {}: train with fewer densities, inputs, numbers of memory or phones",
+            "no model fits {}; {}: train with fewer densities, inputs, numbers of memory or phones",
+            limits.into_iter().flatten().collect::<Vec<_>>().join(" and "),
             candidates
                 .iter()
                 .map(|c| said(&args, c))
