@@ -27,6 +27,20 @@ pub fn mul_high_u32(a: u32, b: u32) -> u32 {
     ((u64::from(a) * u64::from(b)) >> 32) as u32
 }
 
+/// Two halfwords as a word, for [`mul_halves`].
+#[inline(always)]
+pub fn halves(low: i16, high: i16) -> u32 {
+    u32::from(low as u16) | u32::from(high as u16) << 16
+}
+
+/// sum + low·low + high·high of signed halfwords, modulo 2³²: one SMLABB and one SMLATT.
+#[inline(always)]
+pub fn mul_halves(sum: i32, a: u32, b: u32) -> i32 {
+    let low = i32::from(a as i16).wrapping_mul(i32::from(b as i16));
+    let high = ((a as i32) >> 16).wrapping_mul((b as i32) >> 16);
+    sum.wrapping_add(low).wrapping_add(high)
+}
+
 /// x / 2^shift, rounded to nearest, halves up; |x| must leave room for half a step.
 #[inline(always)]
 pub fn round_shift(x: i32, shift: u32) -> i32 {

@@ -2,7 +2,7 @@
 //!
 //! Two rows share a walk through the statics. Products of halfwords are summed in 32 bits: the mantissas of a row add up to less
 //! than 2¹⁶, as the checked tables see to it, so that no statics can overflow a sum.
-use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
+use crate::fixed::{halves, mul_halves, round_shift_i64, saturate_i16, saturate_i32};
 use crate::model::Model;
 use crate::model::field::limit;
 use crate::{N_STATIC, model::SumRow};
@@ -21,7 +21,7 @@ pub fn project(model: &Model, context: &[i16]) -> [i16; limit::INPUTS] {
     let mut words = [0u32; MAX_CONTEXT / 2];
     let (pairs, last) = context.as_chunks();
     for (word, [low, high]) in words.iter_mut().zip(pairs) {
-        *word = u32::from(*low as u16) | u32::from(*high as u16) << 16;
+        *word = halves(*low, *high);
     }
     let words = words.get(..pairs.len()).unwrap_or(&[]);
     let mut x = [0; limit::INPUTS];
@@ -43,13 +43,10 @@ pub fn project(model: &Model, context: &[i16]) -> [i16; limit::INPUTS] {
     x
 }
 
-/// sum + low·low + high·high of halfwords, modulo 2³².
+/// Two products more: mantissas as they lie in the tables with a pair of inputs.
 #[inline(always)]
-fn halves(sum: i32, weights: &[u8; 4], word: u32) -> i32 {
-    let weights = u32::from_le_bytes(*weights);
-    let low = i32::from(weights as i16).wrapping_mul(i32::from(word as i16));
-    let high = ((weights as i32) >> 16).wrapping_mul((word as i32) >> 16);
-    sum.wrapping_add(low).wrapping_add(high)
+fn two(sum: i32, weights: &[u8; 4], word: u32) -> i32 {
+    mul_halves(sum, u32::from_le_bytes(*weights), word)
 }
 
 /// Σ weightᵢ·inputᵢ of each row: inputs in pairs, and one more where their number is odd.
@@ -62,7 +59,7 @@ fn dot(rows: [&[u8]; ROWS], words: &[u32], last: &[i16]) -> [i32; ROWS] {
         sums = dot_chunk(sums, a, b, words);
     }
     for ((a, b), word) in a_rest.iter().zip(b_rest).zip(rest) {
-        sums = [halves(sums[0], a, *word), halves(sums[1], b, *word)];
+        sums = [two(sums[0], a, *word), two(sums[1], b, *word)];
     }
     for (sum, row) in sums.iter_mut().zip([a_last, b_last]) {
         if let ([low, high], [input]) = (row, last) {
@@ -84,7 +81,7 @@ fn dot_chunk(
 ) -> [i32; ROWS] {
     macro_rules! add {
         ($($i:literal)*) => {
-            $(sums = [halves(sums[0], &a[$i], words[$i]), halves(sums[1], &b[$i], words[$i])];)*
+            $(sums = [two(sums[0], &a[$i], words[$i]), two(sums[1], &b[$i], words[$i])];)*
         };
     }
     add!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
@@ -108,10 +105,7 @@ mod tests {
             .map(|r| (0..columns).flat_map(|c| weight(r, c).to_le_bytes()).collect())
             .collect();
         let (pairs, last) = inputs.as_chunks();
-        let words: Vec<u32> = pairs
-            .iter()
-            .map(|[low, high]| u32::from(*low as u16) | u32::from(*high as u16) << 16)
-            .collect();
+        let words: Vec<u32> = pairs.iter().map(|[low, high]| halves(*low, *high)).collect();
         let sums = dot(
             core::array::from_fn(|r| &bytes[r.min(rows - 1)][..]),
             &words,

@@ -6,7 +6,6 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use clap::ValueEnum;
 use lipstream::evaluate::metrics::Score;
 use lipstream::evaluate::truths;
 use lipstream::features::{FeatureFolder, Split};
@@ -21,10 +20,7 @@ fn main() -> Result<()> {
     let [folder, model, rest @ ..] = words.as_slice() else {
         bail!("write FOLDER MODEL.safetensors [SPLIT] [LAG]")
     };
-    let name = rest.first().map_or("val", String::as_str);
-    let Ok(split) = Split::from_str(name, false) else {
-        bail!("no split is called {name:?}: train, val, test")
-    };
+    let split = Split::named(rest.first().map_or("val", String::as_str))?;
     let lag: usize = rest.get(1).map_or(Ok(4), |word| word.parse())?;
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
     let model = Model::read(&PathBuf::from(model))?;

@@ -5,7 +5,6 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use clap::ValueEnum;
 use lipstream::audio;
 use lipstream::engine::stream;
 use lipstream::evaluate::metrics::Score;
@@ -25,10 +24,7 @@ fn main() -> Result<()> {
     let [folder, model, rest @ ..] = arguments.as_slice() else {
         bail!("give a feature folder and a model trained with --train mge")
     };
-    let name = rest.first().map_or("test", String::as_str);
-    let Ok(split) = Split::from_str(name, false) else {
-        bail!("no split is called {name:?}: train, val, test")
-    };
+    let split = Split::named(rest.first().map_or("test", String::as_str))?;
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
     let model = MgeModel::read(&PathBuf::from(model))?;
     let clips = truths(&folder, split)?;
@@ -86,11 +82,17 @@ fn main() -> Result<()> {
         ("… and its bound on states", Settings { most: None, ..all }),
         ("… and on phones: the device", Settings::default()),
     ];
+    let sounds = clips
+        .iter()
+        .map(|clip| audio::read(&folder.wav_path(&clip.clip.id)));
+    let sounds: Vec<_> = sounds.collect::<Result<_>>()?;
     for (name, settings) in steps {
         let mut score = Score::new(model.deviation.len());
-        for clip in &clips {
-            let samples = audio::read(&folder.wav_path(&clip.clip.id))?.samples;
-            score.add(&clip.visual, &stream(&tables, &samples, settings)?.parameters);
+        for (clip, sound) in clips.iter().zip(&sounds) {
+            score.add(
+                &clip.visual,
+                &stream(&tables, &sound.samples, settings)?.parameters,
+            );
         }
         show(name, score);
     }

@@ -7,7 +7,6 @@
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
-use clap::ValueEnum;
 use lipstream::features::{Clip, FeatureFolder, Split};
 use lipstream::hmm::convert::{Follower, Lag};
 use lipstream::mge::judge::largest;
@@ -73,10 +72,7 @@ fn main() -> Result<()> {
     let [folder, model, rest @ ..] = arguments.as_slice() else {
         bail!("give a feature folder and a model trained with --train mge")
     };
-    let name = rest.first().map_or("test", String::as_str);
-    let Ok(split) = Split::from_str(name, false) else {
-        bail!("no split is called {name:?}: train, val, test")
-    };
+    let split = Split::named(rest.first().map_or("test", String::as_str))?;
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
     let model = MgeModel::read(&PathBuf::from(model))?;
     let follower = Follower::of_model(&model.twin);

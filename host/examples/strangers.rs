@@ -9,23 +9,17 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use lipstream::evaluate::closure::Gaps;
+use lipstream::evaluate::metrics::Score;
 use lipstream::features::{Clip, FeatureFolder};
 use lipstream::hmm::convert::{Lag, convert};
 use lipstream::mge::live;
 use lipstream::mge::model::MgeModel;
+use ndarray::Array2;
 
-fn correlation(a: &[f32], b: &[f32]) -> f64 {
-    let n = a.len().min(b.len());
-    let mean = |v: &[f32]| v[..n].iter().map(|x| f64::from(*x)).sum::<f64>() / n as f64;
-    let (ma, mb) = (mean(a), mean(b));
-    let (mut ab, mut aa, mut bb) = (0.0, 0.0, 0.0);
-    for (x, y) in a[..n].iter().zip(&b[..n]) {
-        let (x, y) = (f64::from(*x) - ma, f64::from(*y) - mb);
-        ab += x * y;
-        aa += x * x;
-        bb += y * y;
-    }
-    ab / (aa * bb).sqrt().max(1e-12)
+fn correlation(truth: &[f32], said: &[f32]) -> f64 {
+    let n = truth.len().min(said.len());
+    let column = |values: &[f32]| Array2::from_shape_fn((n, 1), |(t, _)| values[t]);
+    Score::of(&column(truth), &column(said)).acc()
 }
 
 fn main() -> Result<()> {

@@ -100,12 +100,12 @@ impl Engine {
                     with.beam_bits.is_none(),
                     "the float engine has no beam: leave --beam out"
                 );
-                let start_mean = std::array::from_fn(|i| model.start_mean[i]);
-                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 ensure!(
                     with.profile.is_none(),
                     "in floats a model with a lag has no profiles: give --lag instead of --profile"
                 );
+                let start_mean = std::array::from_fn(|i| model.start_mean[i]);
+                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 let lag = with.lag.map_or(model.following.lag, usize::from);
                 let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
                 Ok(Converted { parameters, visemes })

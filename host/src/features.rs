@@ -14,7 +14,7 @@
 //! `manifest.json` is written last and removed first: a folder that has one is whole.
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use ndarray::{Array2, Array4};
 use serde::{Deserialize, Serialize};
 
@@ -83,6 +83,14 @@ pub enum Split {
     Train,
     Val,
     Test,
+}
+
+impl Split {
+    /// The split of this name; refused in words.
+    pub fn named(name: &str) -> Result<Self> {
+        <Self as clap::ValueEnum>::from_str(name, false)
+            .map_err(|_| anyhow!("no split is called {name:?}: train, val, test"))
+    }
 }
 
 /// A clip that could not be prepared.

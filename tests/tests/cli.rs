@@ -169,32 +169,17 @@ fn export_and_convert() {
             }
         }
     }
-    // The flash limit is kept.
-    let error = refuse(
-        &folder,
-        &[
-            "export",
-            "model.safetensors",
-            "-o",
-            "big.tables",
-            "--flash",
-            "100",
-        ],
-    );
-    assert!(error.contains("100 KiB"), "{error}");
-    // What a model by likelihood costs nobody has a formula for: it is not promised.
-    let error = refuse(
-        &folder,
-        &[
-            "export",
-            "model.safetensors",
-            "-o",
-            "big.tables",
-            "--cycles",
-            "9000000",
-        ],
-    );
-    assert!(error.contains("instructions unknown"), "{error}");
+    // The flash limit is kept; and what a model by likelihood costs nobody has a formula for: it is not promised.
+    for (option, limit, said) in [
+        ("--flash", "100", "100 KiB"),
+        ("--cycles", "9000000", "instructions unknown"),
+    ] {
+        let error = refuse(
+            &folder,
+            &["export", "model.safetensors", "-o", "big.tables", option, limit],
+        );
+        assert!(error.contains(said), "{error}");
+    }
     assert!(!folder.join("big.tables").exists());
 }
 

@@ -65,15 +65,6 @@ pub(super) struct Door {
 }
 
 impl Door {
-    /// Lets everything in.
-    fn open(best: LogProb) -> Self {
-        Self {
-            best,
-            last_bin: N_BINS,
-            room: 0,
-        }
-    }
-
     /// At most `most` of `scores`, of which `best` is the best.
     pub(super) fn new(best: LogProb, scores: impl Iterator<Item = LogProb>, most: usize) -> Self {
         let mut counts = [0u16; N_BINS];
@@ -90,7 +81,12 @@ impl Door {
             }
             room -= count;
         }
-        Self::open(best)
+        // Everything fits.
+        Self {
+            best,
+            last_bin: N_BINS,
+            room: 0,
+        }
     }
 
     pub(super) fn lets_in(&mut self, score: LogProb) -> bool {

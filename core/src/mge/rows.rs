@@ -4,7 +4,7 @@
 //! halfwords with addition is one instruction on Cortex-M4; 128·Σinput is taken off at the start. Two layouts: row by row
 //! (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of which all
 //! are wanted and share a walk through the inputs, [`product`].
-use crate::fixed::{mul_high_rounded, round_shift_i64, saturate_i32};
+use crate::fixed::{halves, mul_halves, mul_high_rounded, round_shift_i64, saturate_i32};
 use crate::model::field::{BLOCK, SCALE_FRACTION_BITS, limit};
 use crate::model::{Blocks, Rows};
 
@@ -26,15 +26,15 @@ fn mask() -> u32 {
 #[inline(always)]
 fn four(sum: i32, weights: &[u8; BLOCK], [even, odd]: &[u32; 2], mask: u32) -> i32 {
     let word = u32::from_le_bytes(*weights);
-    let sum = halves(sum, word & mask, *even);
-    halves(sum, word.rotate_right(8) & mask, *odd)
+    let sum = mul_halves(sum, word & mask, *even);
+    mul_halves(sum, word.rotate_right(8) & mask, *odd)
 }
 
 /// One row of the product.
 #[inline]
 pub fn row(rows: &Rows, row: usize, inputs: &Inputs) -> i32 {
     let sum = dot_row(rows.weights(row), inputs.words(), inputs.start);
-    scaled(sum, rows.scale(row), rows.bias(row))
+    scaled(sum, rows.scaling.scale(row), rows.scaling.bias(row))
 }
 
 /// Fours of products that are unrolled.
@@ -98,7 +98,6 @@ impl Inputs {
             *to = *from;
         }
         for (to, [a, b, c, d]) in new.words.iter_mut().zip(fours.iter().chain([&last])) {
-            let halves = |low: i16, high: i16| u32::from(low as u16) | u32::from(high as u16) << 16;
             *to = [halves(*a, *c), halves(*b, *d)];
             sum += i32::from(*a) + i32::from(*b) + i32::from(*c) + i32::from(*d);
         }
@@ -112,14 +111,6 @@ impl Inputs {
     }
 }
 
-/// sum + low·low + high·high of signed halfwords, modulo 2³².
-#[inline(always)]
-fn halves(sum: i32, a: u32, b: u32) -> i32 {
-    let low = i32::from(a as i16).wrapping_mul(i32::from(b as i16));
-    let high = ((a as i32) >> 16).wrapping_mul((b as i32) >> 16);
-    sum.wrapping_add(low).wrapping_add(high)
-}
-
 /// All rows of the product, one call of `out(row, value)` each. `inputs` has as many numbers as the matrix has columns.
 #[inline]
 pub fn product(rows: &Blocks, inputs: &Inputs, mut out: impl FnMut(usize, i32)) {
@@ -127,8 +118,8 @@ pub fn product(rows: &Blocks, inputs: &Inputs, mut out: impl FnMut(usize, i32)) 
         let sums = dot_block(block, inputs.words(), inputs.start);
         for (row, sum) in (first..rows.len()).zip(sums) {
             // Below 2³⁰ · 2³¹ / 2³²; the bias is within ±2³⁰.
-            let value = mul_high_rounded(sum, rows.scale(row) << (32 - SCALE_FRACTION_BITS));
-            out(row, value + rows.bias(row));
+            let value = mul_high_rounded(sum, rows.scaling.scale(row) << (32 - SCALE_FRACTION_BITS));
+            out(row, value + rows.scaling.bias(row));
         }
     }
 }

@@ -8,4 +8,4 @@ pub mod field;
 mod view;
 
 pub use error::{ModelError, Size};
-pub use view::{Blocks, Gate, I16s, Model, Rows, SumRow, U16s};
+pub use view::{Blocks, Gate, I16s, Model, Rows, Scaling, SumRow, U16s};

@@ -434,20 +434,22 @@ impl<'a> Model<'a> {
 
 /// What becomes of the sums of a matrix's rows.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Scaling<'a> {
+pub struct Scaling<'a> {
     scale: &'a [[u8; 4]],
     /// Empty where there is none.
     bias: &'a [[u8; 4]],
 }
 
 impl Scaling<'_> {
+    /// Scale of a row, LSB 2⁻²⁴.
     #[inline]
-    fn scale(&self, row: usize) -> i32 {
+    pub fn scale(&self, row: usize) -> i32 {
         self.scale.get(row).map_or(0, |b| i32::from_le_bytes(*b))
     }
 
+    /// Bias of a row, within ±2³⁰.
     #[inline]
-    fn bias(&self, row: usize) -> i32 {
+    pub fn bias(&self, row: usize) -> i32 {
         self.bias.get(row).map_or(0, |b| i32::from_le_bytes(*b))
     }
 }
@@ -458,22 +460,10 @@ pub struct Rows<'a> {
     weights: &'a [[u8; BLOCK]],
     /// Columns, in fours.
     fours: usize,
-    scaling: Scaling<'a>,
+    pub scaling: Scaling<'a>,
 }
 
 impl<'a> Rows<'a> {
-    /// Scale of a row, LSB 2⁻²⁴.
-    #[inline]
-    pub fn scale(&self, row: usize) -> i32 {
-        self.scaling.scale(row)
-    }
-
-    /// Bias of a row, within ±2³⁰.
-    #[inline]
-    pub fn bias(&self, row: usize) -> i32 {
-        self.scaling.bias(row)
-    }
-
     /// Weights of a row + 128, in fours; empty beyond the end.
     #[inline]
     pub fn weights(&self, row: usize) -> &'a [[u8; BLOCK]] {
@@ -489,7 +479,7 @@ pub struct Blocks<'a> {
     weights: &'a [[u8; BLOCK * BLOCK]],
     /// Columns, in fours.
     fours: usize,
-    scaling: Scaling<'a>,
+    pub scaling: Scaling<'a>,
 }
 
 impl<'a> Blocks<'a> {
@@ -502,18 +492,6 @@ impl<'a> Blocks<'a> {
     #[inline]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
-    }
-
-    /// Scale of a row, LSB 2⁻²⁴.
-    #[inline]
-    pub fn scale(&self, row: usize) -> i32 {
-        self.scaling.scale(row)
-    }
-
-    /// Bias of a row, within ±2³⁰.
-    #[inline]
-    pub fn bias(&self, row: usize) -> i32 {
-        self.scaling.bias(row)
     }
 
     /// The blocks, four rows each: four columns of them at a time.

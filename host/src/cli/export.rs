@@ -76,8 +76,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     let chosen = &candidates[chosen];
     let exported = match &exported[chosen.model] {
-        Ready::Linear(exported) => exported,
-        Ready::Memory(model) => &export_mge(
+        Ready::AsIs(exported) => exported,
+        Ready::Narrowed(_, exported, widest) if chosen.beam_bits == *widest => exported,
+        Ready::Narrowed(model, ..) => &export_mge(
             model,
             &MgeSettings {
                 beam_bits: chosen.beam_bits,
@@ -112,10 +113,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// A model that has been read, or exported already.
+/// Tables with the only beam that is in question, or a model whose beam may be narrowed, with those of its widest.
 enum Ready {
-    Linear(Export),
-    Memory(Box<MgeModel>),
+    AsIs(Export),
+    Narrowed(Box<MgeModel>, Export, f64),
 }
 
 /// Beams that a budget of instructions may choose from, in bits below the widest.
@@ -133,9 +134,7 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
             }
             let model = MgeModel::read(path)?;
             let widest = args.beam.unwrap_or(MgeSettings::default().beam_bits);
-            let bytes = export_mge(&model, &MgeSettings { beam_bits: widest })?
-                .bytes
-                .len();
+            let exported = export_mge(&model, &MgeSettings { beam_bits: widest })?;
             let narrower = match (args.beam, args.cycles) {
                 (None, Some(_)) => &NARROWER[..],
                 _ => &NARROWER[..1],
@@ -143,11 +142,11 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
             all.extend(narrower.iter().map(|less| Candidate {
                 model: n,
                 beam_bits: widest - less,
-                bytes,
+                bytes: exported.bytes.len(),
                 instructions: Some(budget::instructions(&model, widest - less)),
                 validation: model.validation_amse,
             }));
-            ready.push(Ready::Memory(Box::new(model)));
+            ready.push(Ready::Narrowed(Box::new(model), exported, widest));
         } else {
             let model = Model::read(path)?;
             let own = ExportSettings::of(&model);
@@ -165,7 +164,7 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
                 instructions: None,
                 validation: None,
             });
-            ready.push(Ready::Linear(exported));
+            ready.push(Ready::AsIs(exported));
         }
     }
     Ok((ready, all))

@@ -12,6 +12,7 @@ use lipstream_core::N_STATIC;
 use ndarray::{Array2, Axis, s};
 
 use super::candidate::{Candidate, Heard, Prediction};
+use super::models;
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::Hmm;
 use crate::hmm::convert::{Follower, Lag, smooth};
@@ -19,7 +20,6 @@ use crate::hmm::em::Utterance;
 use crate::hmm::inversion::Inverter;
 use crate::hmm::system::{Speech, System};
 use crate::local_linear;
-use crate::mge::live;
 use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::phones::Phone;
@@ -112,14 +112,7 @@ pub fn of_mge<'a>(model: &'a MgeModel, family: &str) -> Vec<Candidate<'a>> {
         .chain([own])
         .map(|ahead| {
             let name = format!("{family}, {} ms", 10 * ahead);
-            let candidate = Candidate::new(name, Some(10 * ahead as u32), move |heard: &Heard| {
-                let said = live::convert_within(model, heard.observations.view(), ahead);
-                Ok(Prediction {
-                    parameters: said.parameters,
-                    visemes: Some(said.visemes),
-                })
-            });
-            candidate.of_family(family).unlisted()
+            models::mge_float(name, model, ahead).of_family(family).unlisted()
         })
         .collect()
 }

@@ -116,6 +116,21 @@ fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
     Ok(())
 }
 
+/// A model trained on the error of its mouth, streamed frame by frame in floats with `look_ahead` frames of future.
+pub(super) fn mge_float<'a>(
+    name: impl Into<String>,
+    model: &'a MgeModel,
+    look_ahead: usize,
+) -> Candidate<'a> {
+    Candidate::new(name, Some(10 * look_ahead as u32), move |heard: &Heard| {
+        let said = live::convert_within(model, heard.observations.view(), look_ahead);
+        Ok(Prediction {
+            parameters: said.parameters,
+            visemes: Some(said.visemes),
+        })
+    })
+}
+
 /// A model trained on the error of its mouth, streamed frame by frame: in floats, and as the device computes it in every
 /// profile.
 pub fn of_mge<'a>(
@@ -126,13 +141,8 @@ pub fn of_mge<'a>(
     speaks_as_many(folder, model.deviation.len())?;
     let ahead = Some(model.look_ahead_ms());
     let tables = export_mge(model, &MgeSettings::default())?.bytes;
-    let mut out = vec![Candidate::new("mge, float", ahead, move |heard: &Heard| {
-        let said = live::convert(model, heard.observations.view());
-        Ok(Prediction {
-            parameters: said.parameters,
-            visemes: Some(said.visemes),
-        })
-    })];
+    let own = model.parameters.shape.context.look_ahead();
+    let mut out = vec![mge_float("mge, float", model, own)];
     for (name, profile) in [
         ("mge, fixed point and beam", Profile::Studio),
         ("mge, fixed point, standard", Profile::Standard),

@@ -78,17 +78,22 @@ impl<'a> Inverter<'a> {
 
     fn centres_of_path(&self, heard: &Heard) -> Result<Array2<f32>> {
         let frames = heard.state.nrows();
-        let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
-        let mut out = Array2::zeros((frames, self.centre.ncols()));
         if frames == 0 {
-            return Ok(out);
+            return Ok(self.centres_on(&[]));
         }
+        let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
         let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission)
             .context("the audio observations are not finite")?;
-        for (mut row, &s) in out.outer_iter_mut().zip(&path) {
+        Ok(self.centres_on(&path))
+    }
+
+    /// The centres of the visual states on a path.
+    fn centres_on(&self, path: &[usize]) -> Array2<f32> {
+        let mut out = Array2::zeros((path.len(), self.centre.ncols()));
+        for (mut row, &s) in out.outer_iter_mut().zip(path) {
             row.assign(&self.centre.row(self.graph.states[s].visual));
         }
-        Ok(out)
+        out
     }
 
     /// The mouth after `settings.iterations` of EM, `[frames, D]`, and the viseme occupancies of the last E step,
@@ -126,11 +131,7 @@ impl<'a> Inverter<'a> {
         let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
         let path = viterbi_within(&self.graph, &self.probability, frames, &emission, lag)
             .context("the audio observations are not finite")?;
-        let mut out = Array2::zeros((frames, self.centre.ncols()));
-        for (mut row, &s) in out.outer_iter_mut().zip(&path) {
-            row.assign(&self.centre.row(self.graph.states[s].visual));
-        }
-        Ok(out)
+        Ok(self.centres_on(&path))
     }
 
     /// [`Self::convert`] with a future of `lag` frames: the iterations share it, and begin at the centres of the states
