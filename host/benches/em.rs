@@ -4,8 +4,9 @@
 //! The data are drawn from the model itself, with states about as far apart as those of real speech: a frame is some
 //! 20 nats likelier in its own state than in another.
 use divan::counter::ItemsCount;
-use lipstream::hmm::em::{self, Parameters, Utterance};
+use lipstream::hmm::em::{self, Parameters};
 use lipstream::hmm::network::PhoneNetwork;
+use lipstream::hmm::source::Utterance;
 use lipstream::hmm::topology::Topology;
 use lipstream::model::{Mixtures, N_EMITTING};
 use lipstream::phones::Phone;
@@ -84,7 +85,9 @@ fn setting(components: usize) -> (Parameters, Vec<Utterance>) {
 fn pass(bencher: divan::Bencher, components: usize) {
     let (parameters, utterances) = setting(components);
     let frames: usize = utterances.iter().map(|u| u.audio.nrows()).sum();
-    let floors = em::start(&utterances, Topology::PH_HMM, &parameters.phones).1;
+    let floors = em::start(&utterances[..], Topology::PH_HMM, &parameters.phones)
+        .unwrap()
+        .1;
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(1)
         .build()
@@ -94,7 +97,7 @@ fn pass(bencher: divan::Bencher, components: usize) {
         .with_inputs(|| parameters.clone())
         .bench_local_values(|mut parameters| {
             pool.install(|| {
-                let sums = em::expect(&parameters, &utterances, &|_| ());
+                let sums = em::expect(&parameters, &utterances[..]).unwrap();
                 assert!(sums.failed.is_empty());
                 em::maximise(&mut parameters, &sums, &floors, None);
                 parameters

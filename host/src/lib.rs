@@ -26,6 +26,7 @@ pub mod mouth;
 pub mod phones;
 pub mod reference;
 pub mod render;
+pub mod shelf;
 pub mod synthetic;
 pub mod tensors;
 pub mod train;

@@ -12,6 +12,7 @@ use lipstream::mge::parameters::{Feedback, GROUPS, Gate};
 use lipstream::mge::pass::{Masks, Tape};
 use lipstream::mge::settings::Settings;
 use lipstream::mge::step::Net;
+use lipstream::mge::store::Store;
 use lipstream::mge::train::train_on;
 use lipstream::model::{Model, N_EMITTING};
 use lipstream::synthetic::{self, Sizes};
@@ -69,12 +70,22 @@ fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
 fn data(twin: &Model) -> Data {
     let mut rng = Pcg64::seed_from_u64(4);
     Data {
-        train: clips(twin, 24, true, &mut rng),
-        heard: clips(twin, 6, false, &mut rng),
-        validation: clips(twin, 6, true, &mut rng),
+        train: stored(clips(twin, 24, true, &mut rng)),
+        heard: stored(clips(twin, 6, false, &mut rng)),
+        validation: stored(clips(twin, 6, true, &mut rng)),
         scale: vec![0.5; 13],
         deviation: (0..OUTPUTS).map(|d| 10.0 / (d + 1) as f32).collect(),
     }
+}
+
+fn stored(clips: Vec<Clip>) -> Store {
+    let mut store = Store::new(None).unwrap();
+    clips.iter().for_each(|clip| store.push(clip).unwrap());
+    store
+}
+
+fn every(clips: &Store) -> impl Iterator<Item = Clip> {
+    (0..clips.len()).map(|n| clips.get(n).unwrap())
 }
 
 fn small() -> Settings {
@@ -109,7 +120,8 @@ fn a_made_up_talker_is_learnt() {
             &data.validation,
             8,
             model.least,
-        );
+        )
+        .unwrap();
         let acc = seen.score.acc();
         assert!(
             acc > 0.8,
@@ -212,7 +224,7 @@ fn streamed_frame_by_frame_as_in_batches() {
         };
         let model = quietly(&data, &twin, &settings, None);
         let net = Net::new(&model.parameters, &model.chain(), model.least);
-        for (clip, ahead) in data.validation.iter().flat_map(|c| [(c, 8), (c, 3), (c, 0)]) {
+        for (clip, ahead) in every(&data.validation).flat_map(|c| [8, 3, 0].map(|ahead| (c.clone(), ahead))) {
             let frames = clip.x.nrows();
             let context = model
                 .parameters
@@ -259,7 +271,8 @@ fn a_file_gives_the_model_back() {
             );
         }
     }
-    let x = data.validation[0].x.view();
+    let clip = data.validation.get(0).unwrap();
+    let x = clip.x.view();
     let (a, b) = (live::convert(&model, x), live::convert(&back, x));
     let largest = (&a.parameters - &b.parameters).fold(0.0f32, |m, d| m.max(d.abs()));
     assert!(largest < 1e-2, "{largest}");
@@ -323,7 +336,7 @@ fn fixed_point_follows_the_floats() {
         let model = quietly(&data, &twin, &settings, None);
         let tables = export_mge(&model, &MgeSettings::default()).unwrap().bytes;
         let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
-        for clip in &data.validation {
+        for clip in every(&data.validation) {
             let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
             let heard = raw.mapv(|v| (v * 256.0).round() as i16);
             // The whole clip, and sounds shorter than the look-ahead.

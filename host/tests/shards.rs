@@ -6,9 +6,10 @@ use std::process::{Command, Stdio};
 
 use lipstream::features::{FeatureFolder, Split, write_npy};
 use lipstream::hmm::em::{self, Sums};
+use lipstream::hmm::source::{Source, Utterance};
 use lipstream::hmm::system::System;
 use lipstream::model::Model;
-use lipstream::train::shards::{self, Splitting, Streamed};
+use lipstream::train::shards::{self, Splitting};
 use lipstream::train::state::State;
 use lipstream::train::{Settings, train};
 use ndarray::{Array, Dimension};
@@ -79,11 +80,9 @@ fn shards_add_up_to_one_run() {
             assert!(apart.iter().all(|d| *d < 1e-5), "{name} in {of}");
         }
         // And all clips in memory at once.
-        let clips = Streamed::new(&folder, system, &start.parameters.phones, &|_| ());
-        let all: Vec<em::Utterance> = (0..27)
-            .map(|n| em::Source::get(&clips, n).unwrap().into_owned())
-            .collect();
-        same(&sums, &em::expect(&start.parameters, &all, &|_| ()));
+        let clips = shards::clips(&folder, system, &start.parameters.phones, &|_| ());
+        let all: Vec<Utterance> = (0..27).map(|n| clips.get(n).unwrap().into_owned()).collect();
+        same(&sums, &em::expect(&start.parameters, &all[..]).unwrap());
     }
 }
 

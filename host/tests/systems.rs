@@ -1,9 +1,10 @@
 //! Every system's HMM against enumeration of all paths, written from the definition: two chains that walk along unrolled
 //! phones, no border states, no sharing.
 use lipstream::hmm::density::{Evaluator, Floors};
-use lipstream::hmm::em::{self, Parameters, Utterance};
+use lipstream::hmm::em::{self, Parameters};
 use lipstream::hmm::inversion::Inverter;
 use lipstream::hmm::network::PhoneNetwork;
+use lipstream::hmm::source::Utterance;
 use lipstream::hmm::system::{Density, SYSTEMS, System};
 use lipstream::hmm::topology::{Pairing, VisualAtom};
 use lipstream::hmm::{Hmm, convert};
@@ -425,7 +426,7 @@ fn re_estimates_are_those_of_all_paths() {
             visual: Some(tiny.visual.clone()),
             transition: tiny.transition.clone(),
         };
-        let sums = em::expect(&parameters, std::slice::from_ref(&utterance), &|_| ());
+        let sums = em::expect(&parameters, std::slice::from_ref(&utterance)).unwrap();
         let mixture = |m: &Mixtures, s: usize, o: &Array2<f32>, t: usize| -> f64 {
             (0..2)
                 .map(|k| {
@@ -487,7 +488,7 @@ fn re_estimates_are_those_of_all_paths() {
         };
         let mut better = parameters.clone();
         em::maximise(&mut better, &sums, &floors, Some(&floors));
-        let after = em::expect(&better, std::slice::from_ref(&utterance), &|_| ());
+        let after = em::expect(&better, std::slice::from_ref(&utterance)).unwrap();
         assert!(after.log_likelihood > sums.log_likelihood, "{}", system.name);
     }
 }

@@ -2,19 +2,25 @@
 //!
 //! Where clips are labelled in phones, EM keeps within a few frames of the labels, so that a state learns the part of a
 //! sound that people put under its label, and the borders that the model finds are theirs. Mixtures grow by splitting.
+use std::borrow::Cow;
+use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Result, bail};
+use lipstream_core::N_OBSERVATION;
+use ndarray::Array2;
 use rayon::prelude::*;
 
 use super::{Aligner, AudioHmm, Shifts, frame_time, observations, shifts};
 use crate::audio;
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::hmm::density;
-use crate::hmm::em::{self, Utterance};
+use crate::hmm::em;
+use crate::hmm::source::{Source, Utterance, in_order};
 use crate::hmm::topology::Topology;
 use crate::model::N_EMITTING;
 use crate::phones::Phone;
+use crate::shelf::Shelf;
 use crate::train::{Say, data};
 
 /// Choices of a training run.
@@ -41,8 +47,14 @@ impl Default for Settings {
     }
 }
 
-/// Trains on the sound and the labels of a folder's training clips.
-pub fn train(folder: &FeatureFolder, settings: &Settings, say: Say) -> Result<AudioHmm> {
+/// Trains on the sound and the labels of a folder's training clips. What is heard of them is then in a file in `aside`, or in
+/// memory.
+pub fn train(
+    folder: &FeatureFolder,
+    settings: &Settings,
+    aside: Option<&Path>,
+    say: Say,
+) -> Result<AudioHmm> {
     if !settings.mixtures.is_power_of_two() {
         bail!(
             "mixtures grow by splitting: {} components are not a power of two",
@@ -54,35 +66,22 @@ pub fn train(folder: &FeatureFolder, settings: &Settings, say: Say) -> Result<Au
         .filter(|c| !settings.without.contains(&c.speaker))
         .collect();
     let phones = data::phones_said(clips.iter().copied());
-    let index = |phone: Phone| phones.iter().position(|p| *p == phone);
-    let read: Vec<Result<Utterance>> = clips
-        .par_iter()
-        .map(|clip| utterance(folder, clip, &index))
-        .collect();
-    let (mut utterances, mut used) = (Vec::new(), Vec::new());
-    for (result, clip) in read.into_iter().zip(&clips) {
-        match result {
-            Ok(utterance) => {
-                utterances.push(utterance);
-                used.push(*clip);
-            }
-            Err(error) => say(&format!("left out: {error:#}")),
-        }
-    }
+    let utterances = Sounds::hear(folder, clips, &phones, aside, say)?;
     if utterances.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
+    let used = &utterances.clips;
     let labelled = used.iter().all(|c| !c.phones.is_empty());
     let tolerance = settings.tolerance.filter(|_| labelled);
     say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
-    let (mut parameters, mut floors, _) = em::start(&utterances, Topology::PH_HMM, &phones);
+    let (mut parameters, mut floors, _) = em::start(&utterances, Topology::PH_HMM, &phones)?;
     floors.variance *= FLOOR;
     floors.occupancy = LEAST_FRAMES;
     loop {
         let mut last: Option<em::Sums> = None;
         for _ in 0..settings.iterations.max(1) {
             let begun = Instant::now();
-            let sums = em::expect_within(&parameters, &utterances, tolerance, &|_| ());
+            let sums = em::expect_from(&parameters, &utterances, 0..utterances.len(), tolerance)?;
             if sums.frames == 0 {
                 bail!("no utterance fits its transcript: check the labels");
             }
@@ -125,7 +124,7 @@ pub fn train(folder: &FeatureFolder, settings: &Settings, say: Say) -> Result<Au
         ),
     };
     if labelled {
-        hmm.shifts = learn_shifts(folder, &used, &hmm)?;
+        hmm.shifts = learn_shifts(folder, used, &hmm)?;
     }
     Ok(hmm)
 }
@@ -138,16 +137,66 @@ const LEAST_FRAMES: f64 = 30.0;
 /// Frames that a component must have before it is split.
 const ENOUGH_TO_SPLIT: f64 = 30.0;
 
-/// A clip heard every 5 ms.
-fn utterance(
-    folder: &FeatureFolder,
-    clip: &Clip,
-    index: &dyn Fn(Phone) -> Option<usize>,
-) -> Result<Utterance> {
+/// Clips heard every 5 ms.
+struct Sounds<'a> {
+    clips: Vec<&'a Clip>,
+    phones: &'a [Phone],
+    /// The observations of each clip.
+    heard: Shelf,
+}
+
+impl<'a> Sounds<'a> {
+    /// Hears the clips that can be used; `say` names the others.
+    fn hear(
+        folder: &FeatureFolder,
+        clips: Vec<&'a Clip>,
+        phones: &'a [Phone],
+        aside: Option<&Path>,
+        say: Say,
+    ) -> Result<Self> {
+        let mut sounds = Self {
+            clips: Vec::new(),
+            phones,
+            heard: Shelf::new(aside)?,
+        };
+        let index = |phone: Phone| phones.iter().position(|p| *p == phone);
+        let hear = |n: usize| Ok((clips[n], hear(folder, clips[n], &index)));
+        in_order(clips.len(), hear, |(clip, heard)| {
+            match heard {
+                Ok(audio) => {
+                    sounds.heard.push(audio.into_raw_vec_and_offset().0)?;
+                    sounds.clips.push(clip);
+                }
+                Err(error) => say(&format!("left out: {error:#}")),
+            }
+            Ok(())
+        })?;
+        Ok(sounds)
+    }
+}
+
+impl Source for Sounds<'_> {
+    fn len(&self) -> usize {
+        self.clips.len()
+    }
+
+    fn get(&self, n: usize) -> Result<Cow<'_, Utterance>> {
+        let heard = self.heard.get(n)?;
+        let audio = Array2::from_shape_vec((heard.len() / N_OBSERVATION, N_OBSERVATION), heard)?;
+        let index = |phone: Phone| self.phones.iter().position(|p| *p == phone);
+        utterance(self.clips[n], audio, &index).map(Cow::Owned)
+    }
+}
+
+/// The observations of a clip that can be used, `[frames, 39]`.
+fn hear(folder: &FeatureFolder, clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Array2<f32>> {
     let samples = audio::read(&folder.wav_path(&clip.id))?.samples;
     let mut start_mean = [0.0; lipstream_core::N_STATIC];
     start_mean.copy_from_slice(&folder.manifest.start_mean);
-    let audio = observations(&samples, start_mean);
+    Ok(utterance(clip, observations(&samples, start_mean), index)?.audio)
+}
+
+fn utterance(clip: &Clip, audio: Array2<f32>, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Utterance> {
     let (Some(network), Some(silence)) = (data::network(clip, index), index(Phone::SIL)) else {
         bail!("clip {}: it has no labels and no transcript", clip.id);
     };

@@ -168,7 +168,8 @@ fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> 
         tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
         without: args.without.clone(),
     };
-    align::train::train(folder, &settings, &|line| eprintln!("{line}"))?.write(output)?;
+    let say = |line: &str| eprintln!("{line}");
+    align::train::train(folder, &settings, output.parent(), &say)?.write(output)?;
     eprintln!("wrote {}", output.display());
     Ok(())
 }

@@ -5,25 +5,25 @@
 //! other 26 numbers. Local linear maps are fitted again for each look-ahead, their context as long as it allows; conversion by means
 //! shares the lag among its iterations, and begins at the centres of the states that are likeliest so far; the best path waits for
 //! the lag before it is read off.
-use std::sync::Arc;
+use std::borrow::Cow;
 
 use anyhow::{Result, ensure};
 use lipstream_core::N_STATIC;
-use ndarray::{Array2, Axis, s};
+use ndarray::{Array2, s};
 
 use super::candidate::{Candidate, Heard, Prediction};
 use super::models;
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::Hmm;
-use crate::hmm::convert::{Follower, Lag, smooth};
-use crate::hmm::em::Utterance;
+use crate::hmm::convert::{Follower, Lag, apply_maps, smooth};
 use crate::hmm::inversion::Inverter;
+use crate::hmm::source::{Source, Utterance};
 use crate::hmm::system::{Speech, System};
-use crate::local_linear;
 use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::phones::Phone;
-use crate::train::{self, Say, data, maps};
+use crate::train::data::Clips;
+use crate::train::{self, Say, maps};
 
 /// One look-ahead, in frames of 10 ms between centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,7 +86,7 @@ pub fn curves<'a>(
             continue;
         };
         let refit = match system.speech {
-            Speech::LocalLinear => Some(Refit::read(folder, model, say)?),
+            Speech::LocalLinear => Some(Refit::new(folder, &model.phones, say)?),
             Speech::Means | Speech::Viterbi => None,
         };
         for wait in LOOK_AHEADS.map(Wait::of) {
@@ -96,7 +96,7 @@ pub fn curves<'a>(
             let model = wait.cut(model);
             let candidate = match &refit {
                 Some(refit) => refit.candidate(name, model, wait, say)?,
-                None => by_means(name, *system, model, wait),
+                None => by_means(name, *system, &model, wait),
             };
             out.push(candidate.of_family(system.name).unlisted());
         }
@@ -117,16 +117,14 @@ pub fn of_mge<'a>(model: &'a MgeModel, family: &str) -> Vec<Candidate<'a>> {
         .collect()
 }
 
-fn by_means<'a>(name: String, system: System, model: Model, wait: Wait) -> Candidate<'a> {
-    let model = Arc::new(model);
+fn by_means<'a>(name: String, system: System, model: &Model, wait: Wait) -> Candidate<'a> {
+    let inverter = Inverter::new(Hmm::of_model(model));
+    let settings = model.conversion;
     Candidate::new(name, Some(10 * wait.frames as u32), move |heard: &Heard| {
         let observations = wait.heard(&heard.observations);
-        let inverter = Inverter::new(Hmm::of_model(&model));
         let parameters = match system.speech {
-            Speech::Viterbi => {
-                inverter.best_path_within(&observations, model.conversion.acoustic_scale, wait.lag)?
-            }
-            _ => inverter.convert_within(&observations, &model.conversion, wait.lag)?,
+            Speech::Viterbi => inverter.best_path_within(&observations, settings.acoustic_scale, wait.lag)?,
+            _ => inverter.convert_within(&observations, &settings, wait.lag)?,
         };
         Ok(Prediction {
             parameters: wait.said(parameters),
@@ -136,22 +134,35 @@ fn by_means<'a>(name: String, system: System, model: Model, wait: Wait) -> Candi
 }
 
 /// The clips that maps are fitted on.
-struct Refit {
-    train: Vec<Utterance>,
-    judges: Vec<Utterance>,
+struct Refit<'a> {
+    train: Clips<'a>,
+    judges: Clips<'a>,
 }
 
-impl Refit {
-    fn read(folder: &FeatureFolder, model: &Model, say: Say) -> Result<Self> {
-        let index = |phone: Phone| model.phones.iter().position(|p| *p == phone);
-        let read = |split: Split| -> Vec<Utterance> {
-            let (utterances, refused) = data::load(folder, split, &index);
-            refused.iter().for_each(|line| say(&format!("left out: {line}")));
-            utterances.into_iter().filter(|u| u.visual.is_some()).collect()
-        };
+/// Clips as a cut model hears them.
+struct Cut<'a> {
+    clips: &'a Clips<'a>,
+    wait: Wait,
+}
+
+impl Source for Cut<'_> {
+    fn len(&self) -> usize {
+        self.clips.len()
+    }
+
+    fn get(&self, index: usize) -> Result<Cow<'_, Utterance>> {
+        let mut utterance = self.clips.get(index)?.into_owned();
+        utterance.audio = self.wait.heard(&utterance.audio);
+        Ok(Cow::Owned(utterance))
+    }
+}
+
+impl<'a> Refit<'a> {
+    fn new(folder: &'a FeatureFolder, phones: &'a [Phone], say: Say) -> Result<Self> {
+        let clips = |split| Clips::new(folder, split, phones, say).readable(true, say);
         let new = Self {
-            train: read(Split::Train),
-            judges: read(Split::Val),
+            train: clips(Split::Train),
+            judges: clips(Split::Val),
         };
         ensure!(
             !new.train.is_empty() && !new.judges.is_empty(),
@@ -161,15 +172,8 @@ impl Refit {
         Ok(new)
     }
 
-    fn candidate<'a>(&self, name: String, mut model: Model, wait: Wait, say: Say) -> Result<Candidate<'a>> {
-        let cut = |of: &[Utterance]| -> Vec<Utterance> {
-            of.iter()
-                .map(|u| Utterance {
-                    audio: wait.heard(&u.audio),
-                    ..u.clone()
-                })
-                .collect()
-        };
+    fn candidate<'b>(&self, name: String, mut model: Model, wait: Wait, say: Say) -> Result<Candidate<'b>> {
+        let cut = |clips| Cut { clips, wait };
         let last = wait.frames as i32 - i32::from(wait.average);
         let settings = train::Settings {
             taps: (-30..=last).step_by(2).collect(),
@@ -181,19 +185,15 @@ impl Refit {
         let (following, context, fitted) =
             maps::maps(&hmm, &cut(&self.train), &cut(&self.judges), &settings, say)?;
         (model.following, model.context, model.maps) = (following, context, fitted);
-        let model = Arc::new(model);
         let follower = Follower::of_model(&model);
         Ok(Candidate::new(
             name,
             Some(10 * wait.frames as u32),
             move |heard: &Heard| {
                 let observations = wait.heard(&heard.observations);
-                let (_, visual) = follower.occupancies(&observations, Lag::Frames(wait.lag))?;
-                let statics = observations.slice(s![.., ..N_STATIC]);
-                let x = local_linear::project(&model.context, statics);
-                debug_assert_eq!(x.len_of(Axis(0)), visual.nrows());
+                let (said, _) = apply_maps(&follower, &model, &observations, Lag::Frames(wait.lag))?;
                 Ok(Prediction {
-                    parameters: wait.said(local_linear::apply(&model.maps, &x, &visual)),
+                    parameters: wait.said(said),
                     visemes: None,
                 })
             },

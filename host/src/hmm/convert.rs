@@ -111,11 +111,21 @@ pub fn convert_with(
     observations: &Array2<f32>,
     lag: Lag,
 ) -> Result<(Array2<f32>, Array2<f32>)> {
+    let (spoken, visual) = apply_maps(follower, model, observations, lag)?;
+    Ok((smooth(&spoken), viseme_weights(model, &visual)))
+}
+
+/// What the local linear maps say, not averaged yet, and the occupancies of the visual states.
+pub fn apply_maps(
+    follower: &Follower,
+    model: &Model,
+    observations: &Array2<f32>,
+    lag: Lag,
+) -> Result<(Array2<f32>, Array2<f32>)> {
     let (_, visual) = follower.occupancies(observations, lag)?;
     let statics = observations.slice(s![.., ..lipstream_core::N_STATIC]);
     let x = local_linear::project(&model.context, statics);
-    let spoken = smooth(&local_linear::apply(&model.maps, &x, &visual));
-    Ok((spoken, viseme_weights(model, &visual)))
+    Ok((local_linear::apply(&model.maps, &x, &visual), visual))
 }
 
 /// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the five states of each

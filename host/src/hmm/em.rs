@@ -1,19 +1,17 @@
 //! EM over utterances (X&L section 3.4 and appendix A): flat start, expectation, re-estimation.
 //!
-//! Utterances are taken in chunks of fixed size whose sums are added in order, so the result does not depend on how
-//! many threads there are.
-use std::borrow::Cow;
+//! Utterances are taken in chunks of fixed size whose sums are added in order: neither memory nor the result depends on how
+//! many utterances or threads there are.
 use std::ops::Range;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 use ndarray::{Array2, Array3, ArrayView1};
-use rayon::prelude::*;
 
 use super::density::{self, Accumulator, Floors};
 use super::evaluator::{Evaluator, Likelihoods};
 use super::forward_backward::{forward, viterbi};
 use super::graph::Graph;
-use super::network::PhoneNetwork;
+use super::source::{Source, Utterance, in_order};
 use super::topology::Topology;
 use crate::model::{Mixtures, N_EMITTING};
 use crate::phones::Phone;
@@ -25,44 +23,8 @@ pub use transitions::start_transitions;
 
 /// Utterances whose sums are added up before they join the others.
 const CHUNK: usize = 8;
-/// Chunks in memory at once, for each thread.
-const CHUNKS_PER_THREAD: usize = 2;
 /// Occupancies below this add nothing worth the work.
 const LEAST_OCCUPANCY: f64 = 1e-6;
-
-/// What training sees of one clip.
-#[derive(Clone, Debug)]
-pub struct Utterance {
-    pub id: String,
-    /// `[frames, 39]`
-    pub audio: Array2<f32>,
-    /// `[frames, D]` at the audio's rate, or nothing in an audio-only corpus.
-    pub visual: Option<Array2<f32>>,
-    pub network: PhoneNetwork,
-    /// Phone (model index) and state 0..5 of every frame, from labels or evenly spread: where EM starts.
-    pub start: Vec<(usize, usize)>,
-}
-
-/// Utterances one by one: in memory, or read when they are asked for.
-pub trait Source: Sync {
-    fn len(&self) -> usize;
-
-    fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    fn get(&self, index: usize) -> Result<Cow<'_, Utterance>>;
-}
-
-impl Source for [Utterance] {
-    fn len(&self) -> usize {
-        <[Utterance]>::len(self)
-    }
-
-    fn get(&self, index: usize) -> Result<Cow<'_, Utterance>> {
-        Ok(Cow::Borrowed(&self[index]))
-    }
-}
 
 /// The parameters that EM re-estimates.
 #[derive(Clone, Debug, PartialEq)]
@@ -118,70 +80,87 @@ impl Sums {
     }
 }
 
-/// Single Gaussians from the frames' start labels; both chains at the same place.
-///
-/// States without data get the pooled mean and variance. Floors are 1 % of the pooled variances.
-pub fn start(
-    utterances: &[Utterance],
+/// Sums from which EM starts: a single Gaussian a state, both chains at the same place.
+#[derive(Clone, Debug)]
+pub struct Start {
     topology: Topology,
-    phones: &[Phone],
-) -> (Parameters, Floors, Option<Floors>) {
-    start_from(utterances, topology, phones).expect("utterances in memory are there")
+    phones: Vec<Phone>,
+    audio: Accumulator,
+    /// Of no numbers where there is no video.
+    visual: Accumulator,
 }
 
-/// [`start`] from any source; the error is the source's.
-pub fn start_from<S: Source + ?Sized>(
+impl Start {
+    /// `sizes`: numbers of an audio and of a visual observation.
+    pub fn new(topology: Topology, phones: &[Phone], sizes: (usize, usize)) -> Self {
+        Self {
+            topology,
+            phones: phones.to_vec(),
+            audio: Accumulator::new(phones.len() * N_EMITTING, 1, sizes.0),
+            visual: Accumulator::new(topology.n_visual_states(phones.len()), 1, sizes.1),
+        }
+    }
+
+    /// Adds an utterance whose frames belong to these phones and states.
+    pub fn add(&mut self, utterance: &Utterance, labels: &[(usize, usize)]) {
+        for (t, &(phone, i)) in labels.iter().enumerate() {
+            self.audio
+                .add(N_EMITTING * phone + i, 0, 1.0, row(utterance.audio.row(t)));
+            if let Some(v) = &utterance.visual {
+                let atom = self.topology.visual_atom(phone, self.phones[phone]);
+                self.visual.add(N_EMITTING * atom + i, 0, 1.0, row(v.row(t)));
+            }
+        }
+    }
+
+    /// States without data get the pooled mean and variance. Floors are 1 % of the pooled variances.
+    pub fn finish(self) -> (Parameters, Floors, Option<Floors>) {
+        let from = |sums: &Accumulator| {
+            let (states, _, size) = sums.first.dim();
+            (size > 0).then(|| {
+                let (mean, variance) = sums.pooled();
+                let floors = Floors::from_pooled(&variance, 0.01);
+                let mut mixtures = density::flat(states, &mean, &variance, &floors);
+                density::reestimate(&mut mixtures, sums, &floors);
+                (mixtures, floors)
+            })
+        };
+        let (audio, audio_floors) = from(&self.audio).expect("an audio observation has numbers");
+        let (visual, visual_floors) = from(&self.visual).unzip();
+        let transition = start_transitions(self.topology, self.phones.len());
+        let parameters = Parameters {
+            topology: self.topology,
+            phones: self.phones,
+            audio,
+            visual,
+            transition,
+        };
+        (parameters, audio_floors, visual_floors)
+    }
+}
+
+/// [`Start`] from the start labels of all utterances.
+pub fn start<S: Source + ?Sized>(
     utterances: &S,
     topology: Topology,
     phones: &[Phone],
 ) -> Result<(Parameters, Floors, Option<Floors>)> {
-    let n_audio = phones.len() * N_EMITTING;
-    let n_visual = topology.n_visual_states(phones.len());
-    let (mut dim_audio, mut dim_visual) = (0, 0);
-    if !utterances.is_empty() {
-        let first = utterances.get(0)?;
-        dim_audio = first.audio.ncols();
-        dim_visual = first.visual.as_ref().map_or(0, |v| v.ncols());
-    }
-    let mut audio = Accumulator::new(n_audio, 1, dim_audio);
-    let mut visual = Accumulator::new(n_visual, 1, dim_visual);
-    for n in 0..utterances.len() {
-        let utterance = utterances.get(n)?;
-        for (t, &(phone, i)) in utterance.start.iter().enumerate() {
-            audio.add(N_EMITTING * phone + i, 0, 1.0, row(utterance.audio.row(t)));
-            if let Some(v) = &utterance.visual {
-                let atom = topology.visual_atom(phone, phones[phone]);
-                visual.add(N_EMITTING * atom + i, 0, 1.0, row(v.row(t)));
-            }
-        }
-    }
-    let from = |sums: &Accumulator, states: usize| {
-        let (mean, variance) = sums.pooled();
-        let floors = Floors::from_pooled(&variance, 0.01);
-        let mut mixtures = density::flat(states, &mean, &variance, &floors);
-        density::reestimate(&mut mixtures, sums, &floors);
-        (mixtures, floors)
-    };
-    let (audio, audio_floors) = from(&audio, n_audio);
-    let (visual, visual_floors) = match dim_visual {
-        0 => (None, None),
-        _ => {
-            let (mixtures, floors) = from(&visual, n_visual);
-            (Some(mixtures), Some(floors))
-        }
-    };
-    let transition = start_transitions(topology, phones.len());
-    Ok((
-        Parameters {
-            topology,
-            phones: phones.to_vec(),
-            audio,
-            visual,
-            transition,
+    ensure!(!utterances.is_empty(), "there is no utterance to start from");
+    let first = utterances.get(0)?;
+    let sizes = (
+        first.audio.ncols(),
+        first.visual.as_ref().map_or(0, |v| v.ncols()),
+    );
+    let mut sums = Start::new(topology, phones, sizes);
+    in_order(
+        utterances.len(),
+        |n| utterances.get(n),
+        |utterance| {
+            sums.add(&utterance, &utterance.start);
+            Ok(())
         },
-        audio_floors,
-        visual_floors,
-    ))
+    )?;
+    Ok(sums.finish())
 }
 
 fn row<'a>(row: ArrayView1<'a, f32>) -> &'a [f32] {
@@ -363,20 +342,8 @@ fn expect_one(
 }
 
 /// E step over all utterances.
-pub fn expect(parameters: &Parameters, utterances: &[Utterance], done: &(dyn Fn(usize) + Sync)) -> Sums {
-    expect_within(parameters, utterances, None, done)
-}
-
-/// [`expect`] that keeps to the labels: a phone is said only within so many frames of where its label puts it (or, in
-/// utterances where no path does that, anywhere).
-pub fn expect_within(
-    parameters: &Parameters,
-    utterances: &[Utterance],
-    tolerance: Option<usize>,
-    done: &(dyn Fn(usize) + Sync),
-) -> Sums {
-    expect_from(parameters, utterances, 0..utterances.len(), tolerance, done)
-        .expect("utterances in memory are there")
+pub fn expect<S: Source + ?Sized>(parameters: &Parameters, utterances: &S) -> Result<Sums> {
+    expect_from(parameters, utterances, 0..utterances.len(), None)
 }
 
 /// Number of chunks that so many utterances are summed in.
@@ -389,40 +356,34 @@ pub fn chunk_range(from: usize, to: usize, utterances: usize) -> Range<usize> {
     (from * CHUNK).min(utterances)..(to * CHUNK).min(utterances)
 }
 
-/// E step over the utterances `range` of a source, which begins at a chunk. No more than a few chunks are in memory at
-/// once; the error is the source's.
+/// E step over the utterances `range`, which begins at a chunk.
+///
+/// With a `tolerance` it keeps to the labels: a phone is said only within so many frames of where its label puts it (or, in
+/// utterances where no path does that, anywhere).
 pub fn expect_from<S: Source + ?Sized>(
     parameters: &Parameters,
     utterances: &S,
     range: Range<usize>,
     tolerance: Option<usize>,
-    done: &(dyn Fn(usize) + Sync),
 ) -> Result<Sums> {
     let evaluators = Evaluators::new(parameters);
-    let firsts: Vec<usize> = range.clone().step_by(CHUNK).collect();
     let mut total = Sums::new(parameters);
-    for wave in firsts.chunks(CHUNKS_PER_THREAD * rayon::current_num_threads()) {
-        let parts: Vec<Sums> = wave
-            .par_iter()
-            .map(|&first| {
-                let mut sums = Sums::new(parameters);
-                let chunk = first..(first + CHUNK).min(range.end);
-                done(chunk.len());
-                for n in chunk {
-                    expect_one(
-                        parameters,
-                        &evaluators,
-                        &*utterances.get(n)?,
-                        tolerance,
-                        &mut sums,
-                    );
-                }
-                Ok(sums)
-            })
-            .collect::<Result<_>>()?;
-        // In the order of the chunks, whatever the number of threads.
-        parts.into_iter().for_each(|part| total.merge(part));
-    }
+    in_order(
+        chunks(range.len()),
+        |chunk| {
+            let mut sums = Sums::new(parameters);
+            let first = range.start + chunk * CHUNK;
+            for n in first..(first + CHUNK).min(range.end) {
+                let utterance = utterances.get(n)?;
+                expect_one(parameters, &evaluators, &utterance, tolerance, &mut sums);
+            }
+            Ok(sums)
+        },
+        |sums| {
+            total.merge(sums);
+            Ok(())
+        },
+    )?;
     Ok(total)
 }
 
@@ -468,22 +429,31 @@ pub fn maximise(parameters: &mut Parameters, sums: &Sums, audio: &Floors, visual
     maximise_transitions(parameters, &sums.transition);
 }
 
-/// Forced alignment: audio state and visual state of every frame; `None` where no path fits.
-pub fn align(parameters: &Parameters, utterances: &[Utterance]) -> Vec<Option<Vec<(usize, usize)>>> {
-    let evaluators = Evaluators::new(parameters);
-    utterances
-        .par_iter()
-        .map(|utterance| {
-            let laid = Laid::new(parameters, &evaluators, utterance);
-            let frames = utterance.audio.nrows();
-            let (path, _) = viterbi(&laid.graph, &laid.probability, frames, &laid.emission())?;
-            Some(
-                path.iter()
-                    .map(|&s| (laid.graph.states[s].audio, laid.graph.states[s].visual))
-                    .collect(),
-            )
-        })
-        .collect()
+/// Audio and visual state of every frame.
+pub type Path = Vec<(usize, usize)>;
+
+/// Forced alignment.
+pub struct Aligner<'a> {
+    parameters: &'a Parameters,
+    evaluators: Evaluators,
+}
+
+impl<'a> Aligner<'a> {
+    pub fn new(parameters: &'a Parameters) -> Self {
+        Self {
+            parameters,
+            evaluators: Evaluators::new(parameters),
+        }
+    }
+
+    /// The best path through an utterance; `None` where none fits.
+    pub fn path(&self, utterance: &Utterance) -> Option<Path> {
+        let laid = Laid::new(self.parameters, &self.evaluators, utterance);
+        let frames = utterance.audio.nrows();
+        let (path, _) = viterbi(&laid.graph, &laid.probability, frames, &laid.emission())?;
+        let states = path.iter().map(|&s| laid.graph.states[s]);
+        Some(states.map(|s| (s.audio, s.visual)).collect())
+    }
 }
 
 #[cfg(test)]

@@ -69,15 +69,46 @@ pub fn forward(
     frames: usize,
     emission: &impl Emission,
 ) -> Option<Forward> {
+    forward_from(graph, probability, None, frames, emission)
+}
+
+/// [`forward`] on from the forward variables `before` of the frame before; none: from the graph's entries.
+pub fn forward_from(
+    graph: &Graph,
+    probability: &[f64],
+    before: Option<&[f64]>,
+    frames: usize,
+    emission: &impl Emission,
+) -> Option<Forward> {
     let n = graph.states.len();
     let mut alpha = Array2::<f64>::zeros((frames, n));
     let mut scaled = Array2::<f64>::zeros((frames, n));
     let mut window = vec![Window::EMPTY; frames];
     let mut predicted = vec![0.0f64; n];
+    let predict = |from: std::ops::Range<usize>, before: &[f64], predicted: &mut [f64]| {
+        let mut reached = Window::EMPTY;
+        for s in from {
+            let a = before[s];
+            if a > 0.0 {
+                let leaving = graph.first[s]..graph.first[s + 1];
+                for (arc, p) in graph.arcs[leaving.clone()].iter().zip(&probability[leaving]) {
+                    let to = arc.to as usize;
+                    predicted[to] += a * p;
+                    reached.take_in(to);
+                }
+            }
+        }
+        reached
+    };
     let mut reached = Window::EMPTY;
-    for &(state, log) in &graph.entries {
-        predicted[state] += f64::from(log).exp();
-        reached.take_in(state);
+    match before {
+        Some(before) => reached = predict(0..n, before, &mut predicted),
+        None => {
+            for &(state, log) in &graph.entries {
+                predicted[state] += f64::from(log).exp();
+                reached.take_in(state);
+            }
+        }
     }
     let to_exit = frames_to_exit(graph);
     let mut log_likelihood = 0.0;
@@ -87,18 +118,7 @@ pub fn forward(
         if t > 0 {
             let before = alpha.row(t - 1);
             let before = before.as_slice().unwrap_or(&[]);
-            reached = Window::EMPTY;
-            for s in window[t - 1].states() {
-                let a = before[s];
-                if a > 0.0 {
-                    let leaving = graph.first[s]..graph.first[s + 1];
-                    for (arc, p) in graph.arcs[leaving.clone()].iter().zip(&probability[leaving]) {
-                        let to = arc.to as usize;
-                        predicted[to] += a * p;
-                        reached.take_in(to);
-                    }
-                }
-            }
+            reached = predict(window[t - 1].states(), before, &mut predicted);
         }
         let mut max = f64::NEG_INFINITY;
         for s in reached.states() {

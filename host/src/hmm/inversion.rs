@@ -12,10 +12,12 @@ use ndarray::{Array2, Array3, Axis, s};
 
 use super::Hmm;
 use super::density::Evaluator;
-use super::forward_backward::{forward, viterbi, viterbi_within};
+use super::forward_backward::{Forward, forward_from, viterbi, viterbi_within};
 use super::graph::{Graph, log_sum};
 use super::system::Density;
 use crate::model::{EmSettings, MStep, Mixtures};
+
+const NOT_FINITE: &str = "the audio observations are not finite";
 
 /// A mouth during EM, and how likely it is.
 #[derive(Clone, Debug)]
@@ -27,8 +29,11 @@ pub struct Estimate {
 }
 
 /// An HMM laid out over the phone loop, ready to convert.
-pub struct Inverter<'a> {
-    hmm: Hmm<'a>,
+pub struct Inverter {
+    /// Whether densities are of sound and mouth together.
+    joint: bool,
+    /// Densities of the mouth.
+    mixtures: Mixtures,
     graph: Graph,
     probability: Vec<f64>,
     audio: Evaluator,
@@ -45,8 +50,8 @@ struct Heard {
     component: Option<Array3<f32>>,
 }
 
-impl<'a> Inverter<'a> {
-    pub fn new(hmm: Hmm<'a>) -> Self {
+impl Inverter {
+    pub fn new(hmm: Hmm) -> Self {
         let (graph, probability) = hmm.phone_loop();
         let visual = match hmm.density {
             Density::Streams => Evaluator::new(hmm.visual),
@@ -57,7 +62,8 @@ impl<'a> Inverter<'a> {
             audio: Evaluator::new(hmm.audio),
             visual,
             centre: centres(hmm.visual),
-            hmm,
+            joint: hmm.density == Density::Joint,
+            mixtures: hmm.visual.clone(),
             graph,
             probability,
         }
@@ -67,7 +73,7 @@ impl<'a> Inverter<'a> {
         let (state, component) = self.audio.log_components(observations.view());
         Heard {
             state: state * scale,
-            component: (self.hmm.density == Density::Joint).then(|| component * scale),
+            component: self.joint.then(|| component * scale),
         }
     }
 
@@ -82,8 +88,7 @@ impl<'a> Inverter<'a> {
             return Ok(self.centres_on(&[]));
         }
         let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
-        let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission)
-            .context("the audio observations are not finite")?;
+        let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission).context(NOT_FINITE)?;
         Ok(self.centres_on(&path))
     }
 
@@ -105,7 +110,7 @@ impl<'a> Inverter<'a> {
     ) -> Result<(Array2<f32>, Array2<f32>)> {
         let heard = self.hear(observations, settings.acoustic_scale);
         let mut mouth = self.centres_of_path(&heard)?;
-        let mut occupancy = Array2::zeros((mouth.nrows(), self.hmm.n_visual_states()));
+        let mut occupancy = Array2::zeros((mouth.nrows(), self.centre.nrows()));
         for _ in 0..settings.iterations {
             let step = self.step(&heard, &mouth, settings)?;
             (mouth, occupancy) = (step.next, step.occupancy);
@@ -129,8 +134,8 @@ impl<'a> Inverter<'a> {
     fn centres_within(&self, heard: &Heard, lag: usize) -> Result<Array2<f32>> {
         let frames = heard.state.nrows();
         let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
-        let path = viterbi_within(&self.graph, &self.probability, frames, &emission, lag)
-            .context("the audio observations are not finite")?;
+        let path =
+            viterbi_within(&self.graph, &self.probability, frames, &emission, lag).context(NOT_FINITE)?;
         Ok(self.centres_on(&path))
     }
 
@@ -185,9 +190,7 @@ impl<'a> Inverter<'a> {
     ) -> Result<Step> {
         let frames = mouth.nrows();
         let (state, component) = self.see(heard, mouth, settings.visual_exponent);
-        let emission = |t: usize, s: usize| self.emission(heard, &state, t, s);
-        let forward = forward(&self.graph, &self.probability, frames, &emission)
-            .context("the audio observations are not finite")?;
+        let forward = self.follow(heard, &state, None, frames)?;
         let gamma = match lag {
             None => forward.backward(&self.graph, &self.probability, |_, _, _| ()),
             Some(lag) => forward.fixed_lag(&self.graph, &self.probability, lag),
@@ -242,7 +245,7 @@ impl<'a> Inverter<'a> {
         component: &Array3<f32>,
         how: MStep,
     ) -> (Array2<f32>, Array2<f32>) {
-        let (states, k, size) = self.hmm.visual.mean.dim();
+        let (states, k, size) = self.mixtures.mean.dim();
         let frames = gamma.nrows();
         let mut occupancy = Array2::<f32>::zeros((frames, states));
         let mut next = Array2::<f32>::zeros((frames, size));
@@ -262,13 +265,13 @@ impl<'a> Inverter<'a> {
                 for k in 0..k {
                     let mut gamma = f64::from(share) * f64::from((component[[t, s, k]] - total).exp());
                     if how == MStep::Printed {
-                        gamma *= f64::from(self.hmm.visual.log_weight[[s, k]]).exp();
+                        gamma *= f64::from(self.mixtures.log_weight[[s, k]]).exp();
                     }
                     if gamma > 0.0 {
                         for i in 0..size {
-                            let p = gamma / f64::from(self.hmm.visual.variance[[s, k, i]]);
+                            let p = gamma / f64::from(self.mixtures.variance[[s, k, i]]);
                             precision[i] += p;
-                            weighted[i] += p * f64::from(self.hmm.visual.mean[[s, k, i]]);
+                            weighted[i] += p * f64::from(self.mixtures.mean[[s, k, i]]);
                         }
                     }
                 }
@@ -291,7 +294,6 @@ impl<'a> Inverter<'a> {
     ) -> Result<Array2<f32>> {
         let heard = self.hear(observations, settings.acoustic_scale);
         let frames = observations.nrows();
-        let n = self.graph.states.len();
         let mut mouth = Array2::<f32>::zeros((frames, self.centre.ncols()));
         // α of the frame before the window.
         let mut before: Option<Vec<f64>> = None;
@@ -315,10 +317,10 @@ impl<'a> Inverter<'a> {
                     state[[length - 1, s]] = log_sum(sound.slice(s![length - 1, s, ..]).iter().copied());
                 }
             }
-            let alpha = self.follow(&part, &state, before.as_deref(), length)?;
+            let heard_last = self.follow(&part, &state, before.as_deref(), length)?;
             let mut centre = vec![0.0f64; mouth.ncols()];
             for (s, at) in self.graph.states.iter().enumerate() {
-                let weight = alpha[[length - 1, s]];
+                let weight = heard_last.alpha[[length - 1, s]];
                 if weight > 1e-7 {
                     for (c, m) in centre.iter_mut().zip(self.centre.row(at.visual)) {
                         *c += weight * f64::from(*m);
@@ -329,80 +331,27 @@ impl<'a> Inverter<'a> {
                 *to = *c as f32;
             }
             let (state, component) = self.see(&part, &window, settings.visual_exponent);
-            let alpha = self.follow(&part, &state, before.as_deref(), length)?;
-            let mut gamma = Array2::<f64>::zeros((length, n));
-            let mut beta = vec![1.0f64; n];
-            for u in (0..length).rev() {
-                let sum: f64 = (0..n).map(|s| alpha[[u, s]] * beta[s]).sum();
-                for s in 0..n {
-                    gamma[[u, s]] = alpha[[u, s]] * beta[s] / sum;
-                }
-                if u > 0 {
-                    let logs: Vec<f64> = (0..n).map(|s| self.emission(&part, &state, u, s)).collect();
-                    let most = logs.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-                    let worth: Vec<f64> = (0..n).map(|s| (logs[s] - most).exp() * beta[s]).collect();
-                    let mut earlier = vec![0.0f64; n];
-                    for (s, to) in earlier.iter_mut().enumerate() {
-                        for arc in self.graph.first[s]..self.graph.first[s + 1] {
-                            *to += self.probability[arc] * worth[self.graph.arcs[arc].to as usize];
-                        }
-                    }
-                    let largest = earlier.iter().copied().fold(1e-300, f64::max);
-                    beta = earlier.iter().map(|b| b / largest).collect();
-                }
-            }
+            let seen = self.follow(&part, &state, before.as_deref(), length)?;
+            let gamma = seen.backward(&self.graph, &self.probability, |_, _, _| ());
             let (_, next) = self.maximise(&gamma, &component, settings.m_step);
             mouth.slice_mut(s![first..=t, ..]).assign(&next);
             if t >= lag {
-                before = Some(alpha.row(0).to_vec());
+                before = Some(seen.alpha.row(0).to_vec());
             }
         }
         Ok(mouth)
     }
 
-    /// α over a window, every frame's sum 1, on from the frame before it.
+    /// The forward pass over a window, on from the frame before it.
     fn follow(
         &self,
         heard: &Heard,
         state: &Array2<f32>,
         before: Option<&[f64]>,
         length: usize,
-    ) -> Result<Array2<f64>> {
-        let n = self.graph.states.len();
-        let mut alpha = Array2::<f64>::zeros((length, n));
-        for u in 0..length {
-            let mut now = vec![0.0f64; n];
-            let last = match u {
-                0 => before.map(<[f64]>::to_vec),
-                _ => Some(alpha.row(u - 1).to_vec()),
-            };
-            match last {
-                None => {
-                    for &(state, log) in &self.graph.entries {
-                        now[state] = f64::from(log).exp();
-                    }
-                }
-                Some(last) => {
-                    for (s, weight) in last.iter().enumerate().filter(|(_, w)| **w > 1e-30) {
-                        for arc in self.graph.first[s]..self.graph.first[s + 1] {
-                            now[self.graph.arcs[arc].to as usize] += weight * self.probability[arc];
-                        }
-                    }
-                }
-            }
-            let logs: Vec<f64> = (0..n).map(|s| self.emission(heard, state, u, s)).collect();
-            let reached = (0..n).filter(|s| now[*s] > 0.0).map(|s| logs[s]);
-            let most = reached.fold(f64::NEG_INFINITY, f64::max);
-            now.iter_mut()
-                .zip(&logs)
-                .for_each(|(a, log)| *a *= (log - most).exp());
-            let sum: f64 = now.iter().sum();
-            anyhow::ensure!(sum.is_finite() && sum > 0.0, "the observations are not finite");
-            for (s, value) in now.iter().enumerate() {
-                alpha[[u, s]] = value / sum;
-            }
-        }
-        Ok(alpha)
+    ) -> Result<Forward> {
+        let emission = |t: usize, s: usize| self.emission(heard, state, t, s);
+        forward_from(&self.graph, &self.probability, before, length, &emission).context(NOT_FINITE)
     }
 }
 

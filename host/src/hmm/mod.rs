@@ -10,6 +10,7 @@ pub mod forward_backward;
 pub mod graph;
 pub mod inversion;
 pub mod network;
+pub mod source;
 pub mod system;
 pub mod topology;
 

@@ -1,4 +1,5 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
+use anyhow::Result;
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayBase, Data, Ix2, s};
 use rand::seq::SliceRandom;
@@ -8,13 +9,13 @@ use rayon::prelude::*;
 
 use super::chain::Chain;
 use super::data;
-use super::data::Clip;
 use super::judge::centred;
 use super::model::LEAST;
 use super::parameters::{Parameters, normal};
 use super::pass::{Entropy, Masks, Tape, cross_entropy};
 use super::settings::Settings;
 use super::step::Net;
+use super::store::Store;
 
 /// One clip's part of a batch.
 pub(super) struct Share {
@@ -70,12 +71,8 @@ impl Trainer<'_> {
         self.data.train.len().div_ceil(self.settings.batch)
     }
 
-    fn clip(&self, piece: &Piece) -> &Clip {
-        if piece.heard {
-            &self.data.heard[piece.clip]
-        } else {
-            &self.data.train[piece.clip]
-        }
+    fn clips(&self, heard: bool) -> &Store {
+        if heard { &self.data.heard } else { &self.data.train }
     }
 
     /// The pieces of a step: its share of this pass's shuffled clips, whole or cropped.
@@ -97,15 +94,15 @@ impl Trainer<'_> {
         let mut pieces = Vec::new();
         for (order, heard) in [(share(&with_video), false), (share(&heard), true)] {
             for clip in order {
-                let clips = if heard { &self.data.heard } else { &self.data.train };
-                let variants = &clips[clip].variants;
+                let note = self.clips(heard).note(clip);
+                let variants = &note.variants;
                 let variant = (!variants.is_empty() && rng.random::<f32>() < self.settings.disturbed)
                     .then(|| rng.random_range(0..variants.len()));
                 let ahead = match self.settings.look_aheads.as_slice() {
                     [] => self.settings.context.look_ahead(),
                     some => some[rng.random_range(0..some.len())].min(self.settings.context.look_ahead()),
                 };
-                let all = variant.map_or(clips[clip].x.nrows(), |v| variants[v].x.nrows());
+                let all = variant.map_or(note.frames, |v| variants[v].1);
                 let warp = self.settings.warp;
                 let speed = 1.0 + warp * rng.random_range(-1.0f32..=1.0);
                 let whole = ((all - 1) as f32 / speed) as usize + 1;
@@ -116,7 +113,7 @@ impl Trainer<'_> {
                 };
                 let room = (whole - frames) as f32 * speed;
                 // A variant that begins in mid-clip is a cold start: its beginning is what there is to learn.
-                let is_cold = variant.is_some_and(|v| variants[v].first > 0);
+                let is_cold = variant.is_some_and(|v| variants[v].0 > 0);
                 let from = if is_cold {
                     0.0
                 } else {
@@ -141,9 +138,9 @@ impl Trainer<'_> {
     }
 
     /// Loss and gradient of one piece, already divided by the batch's frames (`video`, `heard`).
-    fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Share {
+    fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Result<Share> {
         let settings = self.settings;
-        let clip = self.clip(piece);
+        let clip = self.clips(piece.heard).get(piece.clip)?;
         let (of, first) = match piece.variant {
             None => (&clip.x, 0),
             Some(v) => (&clip.variants[v].x, clip.variants[v].first),
@@ -204,15 +201,15 @@ impl Trainer<'_> {
         tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
         // One clip in which a state hangs by a thread must not steer the whole batch.
         gradient.cut(settings.rule.clip);
-        Share {
+        Ok(Share {
             gradient,
             error: error / f64::from(n),
             entropy: cross_entropy(&tape, &targets, entropy),
-        }
+        })
     }
 
     /// Gradient and losses of a step.
-    pub(super) fn batch(&self, parameters: &Parameters, step: usize) -> Share {
+    pub(super) fn batch(&self, parameters: &Parameters, step: usize) -> Result<Share> {
         let pieces = self.pieces(step);
         let count = |heard: bool| pieces.iter().filter(|p| p.heard == heard).map(|p| p.frames).sum();
         let frames: (usize, usize) = (count(false), count(true));
@@ -231,7 +228,7 @@ impl Trainer<'_> {
                     let place = (step as u64) << 16 | (group * GROUP + i) as u64;
                     self.learn(&net, piece, frames, &mut self.random(4, place))
                 })
-                .collect();
+                .collect::<Result<_>>()?;
             for share in shares {
                 let sum = &mut total.gradient.values;
                 sum.iter_mut()
@@ -241,7 +238,7 @@ impl Trainer<'_> {
                 total.entropy += share.entropy;
             }
         }
-        total
+        Ok(total)
     }
 }
 

@@ -1,21 +1,24 @@
 //! Clips as minimum generation error training sees them: statics, mouth, forced alignment.
+use std::path::Path;
+
 use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
-use ndarray::{Array2, s};
-use rayon::prelude::*;
+use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
 use super::disturb::{Disturbance, Variant};
 use super::settings::Settings;
+use super::store::Store;
 use crate::audio::{self, noise};
 use crate::features::{FeatureFolder, Split};
-use crate::hmm::em::{self, Parameters as HmmParameters, Utterance};
+use crate::hmm::em::{Aligner, Parameters as HmmParameters};
+use crate::hmm::source::{Source, Utterance, in_order};
 use crate::hmm::topology::Topology;
 use crate::model::Model;
-use crate::phones::Phone;
-use crate::train::{Say, data};
+use crate::train::Say;
+use crate::train::data::{Clips, Observed};
 
 /// One clip.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
     pub id: String,
     /// Normalised statics times their scale `[T, 13]`.
@@ -29,19 +32,19 @@ pub struct Clip {
 }
 
 /// Everything that training reads.
-#[derive(Clone, Debug)]
 pub struct Data {
-    pub train: Vec<Clip>,
+    pub train: Store,
     /// Clips without video.
-    pub heard: Vec<Clip>,
-    pub validation: Vec<Clip>,
+    pub heard: Store,
+    pub validation: Store,
     /// One over the deviation of each static.
     pub scale: Vec<f32>,
     /// Deviation of each mouth parameter over the training clips.
     pub deviation: Vec<f32>,
 }
 
-/// Reads folders and aligns them with the likelihood-trained model `twin`.
+/// Reads folders and aligns them with the likelihood-trained model `twin`. The clips are then in a file in `aside`, or in
+/// memory.
 ///
 /// At most `settings.clips` training clips with video are taken; the last `settings.hold_out` of all training clips
 /// join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
@@ -50,6 +53,7 @@ pub fn read(
     audio_only: &[FeatureFolder],
     twin: &Model,
     settings: &Settings,
+    aside: Option<&Path>,
     say: Say,
 ) -> Result<Data> {
     if folder.manifest.visual_size != twin.visual_size() {
@@ -60,32 +64,28 @@ pub fn read(
             twin.visual_size()
         );
     }
-    let index = |phone: Phone| twin.phones.iter().position(|p| *p == phone);
-    let load = |folder: &FeatureFolder, split: Split| -> Vec<Utterance> {
-        let (utterances, refused) = data::load(folder, split, &index);
-        refused.iter().for_each(|line| say(&format!("left out: {line}")));
-        utterances
-    };
-    let mut train: Vec<Utterance> = load(folder, Split::Train)
-        .into_iter()
-        .filter(|u| u.visual.is_some())
-        .collect();
-    let mut validation = load(folder, Split::Val);
+    let mut train = Clips::new(folder, Split::Train, &twin.phones, say).readable(true, say);
+    let mut validation = Clips::new(folder, Split::Val, &twin.phones, say).readable(false, say);
     let held = train.len().saturating_sub(settings.hold_out);
-    validation.extend(train.drain(held..));
+    validation.extend(&train.split_off(held));
     if let Some(clips) = settings.clips {
-        train.truncate(clips);
+        train.split_off(clips);
     }
-    let of_each: Vec<Vec<Utterance>> = audio_only
-        .iter()
-        .map(|f| load(f, Split::Train))
-        .map(|of| of.into_iter().map(|u| Utterance { visual: None, ..u }).collect())
-        .collect();
     if train.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
-    let scale = inverse_deviation(&train);
-    let deviation = mouth_deviation(&train);
+    let (mut sound, mut mouth) = (Deviations::default(), Deviations::default());
+    in_order(
+        train.len(),
+        |n| train.get(n),
+        |u| {
+            sound.add(u.audio.slice(s![.., ..N_STATIC]));
+            u.visual.iter().for_each(|v| mouth.add(v.view()));
+            Ok(())
+        },
+    )?;
+    let scale: Vec<f32> = sound.deviations().map(|d| 1.0 / d).collect();
+    let deviation: Vec<f32> = mouth.deviations().collect();
     let hmm = HmmParameters {
         topology: Topology::PH_VI_CHMM,
         phones: twin.phones.clone(),
@@ -93,56 +93,84 @@ pub fn read(
         visual: Some(twin.visual.clone()),
         transition: twin.transition.clone(),
     };
-    let clips = |utterances: Vec<Utterance>| -> Vec<Clip> {
-        let aligned = em::align(&hmm, &utterances);
-        utterances
-            .into_iter()
-            .zip(aligned)
-            .filter_map(|(u, states)| {
-                let Some(states) = states else {
-                    say(&format!("left out: clip {}: no path through its words", u.id));
-                    return None;
-                };
-                let mut x = u.audio.slice(s![.., ..N_STATIC]).to_owned();
-                x.outer_iter_mut()
-                    .for_each(|mut row| row.iter_mut().zip(&scale).for_each(|(x, s)| *x *= s));
-                let mouth = u.visual.map(|mut v| {
-                    v.outer_iter_mut()
-                        .for_each(|mut row| row.iter_mut().zip(&deviation).for_each(|(v, d)| *v /= d));
-                    v
-                });
-                Some(Clip {
-                    id: u.id,
-                    x,
-                    mouth,
-                    states,
-                    variants: Vec::new(),
-                })
-            })
-            .collect()
-    };
-    let mut train = clips(train);
-    let mut heard: Vec<Vec<Clip>> = of_each.into_iter().map(clips).collect();
-    if settings.variants > 0 {
-        let babble = match audio_only {
-            [] => voices(folder)?,
-            others => {
+    let reader = Reader {
+        aligner: Aligner::new(&hmm),
+        babble: match (settings.variants, audio_only) {
+            (0, _) => Vec::new(),
+            (_, []) => voices(folder)?,
+            (_, others) => {
                 let all: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
                 all.concat()
             }
-        };
-        disturb(folder, &mut train, &babble, &scale, settings)?;
-        for (folder, clips) in audio_only.iter().zip(&mut heard) {
-            disturb(folder, clips, &babble, &scale, settings)?;
-        }
-    }
-    Ok(Data {
-        train,
-        heard: heard.concat(),
-        validation: clips(validation),
+        },
+        scale: &scale,
+        deviation: &deviation,
+        seed: settings.seed,
+        say,
+    };
+    let mut data = Data {
+        train: Store::new(aside)?,
+        heard: Store::new(aside)?,
+        validation: Store::new(aside)?,
         scale: scale.clone(),
         deviation: deviation.clone(),
-    })
+    };
+    reader.read(folder, &train, settings.variants, &mut data.train)?;
+    for other in audio_only {
+        let clips = Clips::new(other, Split::Train, &twin.phones, say).observed(Observed::Sound);
+        let clips = clips.readable(false, say);
+        reader.read(other, &clips, settings.variants, &mut data.heard)?;
+    }
+    reader.read(folder, &validation, 0, &mut data.validation)?;
+    Ok(data)
+}
+
+/// Makes clips of utterances.
+struct Reader<'a> {
+    aligner: Aligner<'a>,
+    /// Sounds that babble.
+    babble: Vec<Vec<i16>>,
+    scale: &'a [f32],
+    deviation: &'a [f32],
+    seed: u64,
+    say: Say<'a>,
+}
+
+impl Reader<'_> {
+    /// Reads, aligns and stores clips of `folder`, each heard `variants` times more.
+    fn read(&self, folder: &FeatureFolder, clips: &Clips, variants: usize, store: &mut Store) -> Result<()> {
+        let Self {
+            aligner,
+            babble,
+            scale,
+            deviation,
+            seed,
+            ..
+        } = self;
+        let work = |n: usize| {
+            let u = clips.get(n)?.into_owned();
+            let Some(states) = aligner.path(&u) else {
+                return Ok(Err(u.id));
+            };
+            let variants = disturbed(folder, &u, babble, scale, variants, *seed)?;
+            let x = u.audio.slice(s![.., ..N_STATIC]).to_owned() * ArrayView1::from(*scale);
+            let mouth = u.visual.map(|v| v / ArrayView1::from(*deviation));
+            Ok(Ok(Clip {
+                id: u.id,
+                x,
+                mouth,
+                states,
+                variants,
+            }))
+        };
+        in_order(clips.len(), work, |clip| match clip {
+            Ok(clip) => store.push(&clip),
+            Err(id) => {
+                (self.say)(&format!("left out: clip {id}: no path through its words"));
+                Ok(())
+            }
+        })
+    }
 }
 
 /// Sounds of a folder's training clips, at most [`VOICES`] spread over them.
@@ -155,61 +183,58 @@ fn voices(folder: &FeatureFolder) -> Result<Vec<Vec<i16>>> {
         .collect()
 }
 
-/// Hears every clip some times more, disturbed; what happens to it depends on the seed and its name only.
-fn disturb(
+/// The clip heard some times more, disturbed; what happens to it depends on the seed and its name only.
+fn disturbed(
     folder: &FeatureFolder,
-    clips: &mut [Clip],
+    clip: &Utterance,
     babble: &[Vec<i16>],
     scale: &[f32],
-    settings: &Settings,
-) -> Result<()> {
+    variants: usize,
+    seed: u64,
+) -> Result<Vec<Variant>> {
+    if variants == 0 {
+        return Ok(Vec::new());
+    }
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
     let start_mean: [f32; N_STATIC] = std::array::from_fn(|d| folder.manifest.start_mean[d]);
-    clips.par_iter_mut().try_for_each(|clip| {
-        let samples = audio::read(&folder.wav_path(&clip.id))?.samples;
-        let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
-        clip.variants = (0..settings.variants)
-            .map(|_| {
-                let disturbance = Disturbance::draw(clip.x.nrows(), &mut rng);
-                disturbance.hear(&samples, &babble, &start_mean, scale, &mut rng)
-            })
-            .collect();
-        Ok(())
-    })
+    let samples = audio::read(&folder.wav_path(&clip.id))?.samples;
+    let mut rng = noise::generator(seed, &clip.id, "disturbed");
+    let variants = (0..variants).map(|_| {
+        let disturbance = Disturbance::draw(clip.audio.nrows(), &mut rng);
+        disturbance.hear(&samples, &babble, &start_mean, scale, &mut rng)
+    });
+    Ok(variants.collect())
 }
 
 /// Clips of a folder that babble, at most.
 const VOICES: usize = 60;
 
-fn inverse_deviation(utterances: &[Utterance]) -> Vec<f32> {
-    let columns = (0..N_STATIC).map(|d| utterances.iter().flat_map(move |u| u.audio.column(d).to_vec()));
-    columns.map(|c| 1.0 / deviation(c)).collect()
+/// Sums for the standard deviation of each column.
+#[derive(Default)]
+struct Deviations {
+    n: f64,
+    /// Sum and sum of squares.
+    columns: Vec<(f64, f64)>,
 }
 
-fn mouth_deviation(utterances: &[Utterance]) -> Vec<f32> {
-    let size = utterances
-        .first()
-        .and_then(|u| u.visual.as_ref())
-        .map_or(0, |v| v.ncols());
-    (0..size)
-        .map(|d| {
-            let values = utterances
-                .iter()
-                .filter_map(|u| u.visual.as_ref())
-                .flat_map(|v| v.column(d).to_vec());
-            deviation(values)
-        })
-        .collect()
-}
-
-/// Standard deviation, never 0.
-fn deviation(values: impl Iterator<Item = f32>) -> f32 {
-    let (mut n, mut sum, mut square) = (0.0f64, 0.0f64, 0.0f64);
-    for v in values {
-        n += 1.0;
-        sum += f64::from(v);
-        square += f64::from(v).powi(2);
+impl Deviations {
+    fn add(&mut self, rows: ArrayView2<f32>) {
+        self.n += rows.nrows() as f64;
+        self.columns.resize(rows.ncols(), (0.0, 0.0));
+        for row in rows.outer_iter() {
+            for ((sum, square), v) in self.columns.iter_mut().zip(row) {
+                *sum += f64::from(*v);
+                *square += f64::from(*v).powi(2);
+            }
+        }
     }
-    let mean = sum / n.max(1.0);
-    (square / n.max(1.0) - mean * mean).max(1e-6).sqrt() as f32
+
+    /// Never 0.
+    fn deviations(&self) -> impl Iterator<Item = f32> {
+        let n = self.n.max(1.0);
+        self.columns.iter().map(move |(sum, square)| {
+            let mean = sum / n;
+            (square / n - mean * mean).max(1e-6).sqrt() as f32
+        })
+    }
 }

@@ -8,7 +8,7 @@ use crate::audio::noise;
 use crate::reference::{self, normalise};
 
 /// A clip heard once more.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
     /// Frame of the clip that is the variant's first.
     pub first: usize,

@@ -1,13 +1,14 @@
 //! How good a set of parameters is on clips that it was not trained on.
+use anyhow::Result;
 use ndarray::Array2;
-use rayon::prelude::*;
 
 use super::chain::Chain;
-use super::data::Clip;
 use super::parameters::Parameters;
 use super::pass::{Masks, Tape};
 use super::step::Net;
+use super::store::Store;
 use crate::evaluate::metrics::Score;
+use crate::hmm::source::in_order;
 use crate::model::N_EMITTING;
 
 /// Scores over clips.
@@ -57,10 +58,10 @@ pub fn judge(
     chain: &Chain,
     context_mean: &[f32],
     deviation: &[f32],
-    clips: &[Clip],
+    clips: &Store,
     ahead: usize,
     least: f32,
-) -> Judgement {
+) -> Result<Judgement> {
     let net = Net::new(parameters, chain, least);
     let empty = || Judgement {
         ahead,
@@ -70,32 +71,33 @@ pub fn judge(
         visemes: 0,
         visual_states: 0,
     };
-    let parts: Vec<Judgement> = clips
-        .par_iter()
-        .map(|clip| {
-            let mut one = empty();
-            let frames = clip.x.nrows();
-            let stacked = parameters.shape.context.stack_within(&clip.x, frames, ahead);
-            let context = centred(&stacked, context_mean);
-            let tape = Tape::forward(&net, context, Masks::default());
-            if let Some(mouth) = &clip.mouth {
-                let scaled = |m: &Array2<f32>| m * &ndarray::ArrayView1::from(deviation);
-                one.score.add(&scaled(mouth), &scaled(&tape.output));
-            }
-            for t in 0..frames {
-                let (a, v) = clip.states[t];
-                let (audio, visual) = (tape.audio.row(t).to_vec(), tape.visual.row(t).to_vec());
-                one.frames += 1;
-                one.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);
-                one.visemes += usize::from(largest(&visual, N_EMITTING) == v / N_EMITTING);
-                one.visual_states += usize::from(largest(&visual, 1) == v);
-            }
-            one
-        })
-        .collect();
+    let judge_one = |n: usize| {
+        let clip = clips.get(n)?;
+        let mut one = empty();
+        let frames = clip.x.nrows();
+        let stacked = parameters.shape.context.stack_within(&clip.x, frames, ahead);
+        let context = centred(&stacked, context_mean);
+        let tape = Tape::forward(&net, context, Masks::default());
+        if let Some(mouth) = &clip.mouth {
+            let scaled = |m: &Array2<f32>| m * &ndarray::ArrayView1::from(deviation);
+            one.score.add(&scaled(mouth), &scaled(&tape.output));
+        }
+        for t in 0..frames {
+            let (a, v) = clip.states[t];
+            let (audio, visual) = (tape.audio.row(t).to_vec(), tape.visual.row(t).to_vec());
+            one.frames += 1;
+            one.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);
+            one.visemes += usize::from(largest(&visual, N_EMITTING) == v / N_EMITTING);
+            one.visual_states += usize::from(largest(&visual, 1) == v);
+        }
+        Ok(one)
+    };
     let mut total = empty();
-    parts.iter().for_each(|p| total.merge(p));
-    total
+    in_order(clips.len(), judge_one, |one| {
+        total.merge(&one);
+        Ok(())
+    })?;
+    Ok(total)
 }
 
 /// Contexts without their mean.

@@ -22,4 +22,5 @@ pub mod rounding;
 pub mod settings;
 pub mod start;
 pub mod step;
+pub mod store;
 pub mod train;

@@ -8,6 +8,7 @@ use rand_pcg::Pcg64;
 
 use super::parameters::{Group, Parameters, Shape, fill_normal};
 use super::step::rate_group;
+use crate::hmm::source::in_order;
 
 /// One clip for the start: contexts `[T, C]`, states of the alignment, mouth `[T, D]` (standardised) if it has one.
 pub struct Seen {
@@ -15,6 +16,9 @@ pub struct Seen {
     pub states: Vec<(usize, usize)>,
     pub mouth: Option<Array2<f32>>,
 }
+
+/// How many clips there are, and what reads one.
+pub type Clips<'a> = (usize, &'a (dyn Fn(usize) -> Result<Seen> + Sync));
 
 /// Settings of the start.
 #[derive(Clone, Debug, PartialEq)]
@@ -51,18 +55,18 @@ struct Moments {
     covariance: DMatrix<f64>,
 }
 
-fn moments(clips: &[Seen]) -> Result<Moments> {
-    let Some(first) = clips.first() else {
-        bail!("no clip to start from")
-    };
-    let c = first.context.ncols();
+fn moments(c: usize, clips: &Clips) -> Result<Moments> {
     let mut n = 0.0;
     let mut sum = Array1::<f64>::zeros(c);
     let mut second = Array2::<f64>::zeros((c, c));
-    for clip in clips {
+    in_order(clips.0, clips.1, |clip| {
         n += clip.context.nrows() as f64;
         sum += &clip.context.sum_axis(ndarray::Axis(0)).mapv(f64::from);
         second += &clip.context.t().dot(&clip.context).mapv(f64::from);
+        Ok(())
+    })?;
+    if n == 0.0 {
+        bail!("no clip to start from")
     }
     let mean = sum / n;
     let covariance = DMatrix::from_fn(c, c, |i, j| second[[i, j]] / n - mean[i] * mean[j]);
@@ -98,7 +102,7 @@ struct ByState {
 /// `transition` `[P, 60]` and `initial` `[P]` are natural logs of the likelihood-trained model.
 pub fn start(
     shape: &Shape,
-    clips: &[Seen],
+    clips: &Clips,
     transition: &Array2<f32>,
     initial: &[f32],
     settings: &StartSettings,
@@ -109,13 +113,13 @@ pub fn start(
     if z > c {
         bail!("{z} inputs are more than the {c} numbers of a context");
     }
-    let Moments { n, mean, covariance } = moments(clips)?;
+    let Moments { n, mean, covariance } = moments(c, clips)?;
     let mut sums = ByState {
         count: vec![0.0; a],
         sum: DMatrix::zeros(c, a),
     };
     let (mut seen, mut cross) = (0.0, DMatrix::<f64>::zeros(c, d));
-    for clip in clips {
+    in_order(clips.0, clips.1, |clip| {
         for (t, row) in clip.context.outer_iter().enumerate() {
             let state = clip.states[t].0;
             sums.count[state] += 1.0;
@@ -130,7 +134,8 @@ pub fn start(
             let product = centred.t().dot(mouth);
             cross += DMatrix::from_fn(c, d, |i, j| f64::from(product[[i, j]]));
         }
-    }
+        Ok(())
+    })?;
     if seen == 0.0 {
         bail!("no clip with a mouth to start from");
     }

@@ -16,7 +16,7 @@ use ndarray::Array2;
 use super::batch::Trainer;
 use super::chain::{Chain, ROWS};
 use super::checkpoint::{self, Best};
-use super::data::{self, Data};
+use super::data::{self, Clip, Data};
 use super::judge::{Judgement, judge};
 use super::model::{LEAST, MgeModel, check_twin};
 use super::optimise::{Optimiser, Rule};
@@ -24,6 +24,7 @@ use super::parameters::{Parameters, Shape};
 use super::settings::Settings;
 use super::start::{Seen, start};
 use crate::features::FeatureFolder;
+use crate::hmm::source::in_order;
 use crate::model::Model;
 use crate::train::Say;
 
@@ -40,7 +41,8 @@ pub fn train(
     settings.check()?;
     check_twin(twin)?;
     say("forced alignment with the likelihood-trained model");
-    let data = data::read(folder, audio_only, twin, settings, say)?;
+    let aside = checkpoint.and_then(Path::parent);
+    let data = data::read(folder, audio_only, twin, settings, aside, say)?;
     say(&format!(
         "{} clips with video, {} with sound only, {} to validate on",
         data.train.len(),
@@ -87,7 +89,7 @@ pub fn train_on(
         warm_up: settings.rule.warm_up.min(steps / 4),
         ..settings.rule.clone()
     };
-    let run = fingerprint(settings, data);
+    let run = fingerprint(settings, data)?;
     let found = match checkpoint_path {
         Some(path) => checkpoint::read(path, &shape, run)?,
         None => None,
@@ -118,7 +120,7 @@ pub fn train_on(
     let (mut error, mut entropy, mut length, mut count) = (0.0, 0.0, 0.0f32, 0);
     while optimiser.step < steps {
         let step = optimiser.step;
-        let share = trainer.batch(&optimiser.parameters, step);
+        let share = trainer.batch(&optimiser.parameters, step)?;
         let moved = if share.error.is_finite() && share.entropy.is_finite() {
             optimiser.step(&rule, &share.gradient)
         } else {
@@ -154,10 +156,13 @@ pub fn train_on(
         }
     }
     say(&format!("the parameters after pass {} are kept", best.pass));
-    let validation_amse = (!data.validation.is_empty()).then(|| {
-        let ahead = settings.context.look_ahead();
-        judged(&trainer, &best.parameters, ahead).score.amse()
-    });
+    let validation_amse = match data.validation.is_empty() {
+        true => None,
+        false => {
+            let ahead = settings.context.look_ahead();
+            Some(judged(&trainer, &best.parameters, ahead)?.score.amse())
+        }
+    };
     Ok(MgeModel {
         twin: twin.clone(),
         parameters: best.parameters,
@@ -186,23 +191,25 @@ pub fn train_on(
 }
 
 fn begin(shape: &Shape, data: &Data, twin: &Model, settings: &Settings) -> Result<(Parameters, Vec<f32>)> {
-    let seen: Vec<Seen> = data
-        .train
-        .iter()
-        .chain(&data.heard)
-        .map(|clip| Seen {
+    let seen = |n: usize| {
+        let own = data.train.len();
+        let clip = match n < own {
+            true => data.train.get(n)?,
+            false => data.heard.get(n - own)?,
+        };
+        Ok(Seen {
             context: shape.context.stack(&clip.x, clip.x.nrows()),
-            states: clip.states.clone(),
-            mouth: clip.mouth.clone(),
+            states: clip.states,
+            mouth: clip.mouth,
         })
-        .collect();
+    };
     let transition = Array2::from_shape_vec(
         (shape.phones, ROWS),
         twin.transition.iter().copied().collect::<Vec<f32>>(),
     )?;
     let (parameters, mean) = start(
         shape,
-        &seen,
+        &(data.train.len() + data.heard.len(), &seen),
         &transition,
         &twin.initial.to_vec(),
         &settings.start,
@@ -230,7 +237,7 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
     let seen: Vec<Judgement> = look_aheads
         .iter()
         .map(|&ahead| judged(trainer, &optimiser.mean, ahead))
-        .collect();
+        .collect::<Result<_>>()?;
     let amse = seen.iter().map(|s| s.score.amse()).sum::<f64>() / seen.len() as f64;
     if !amse.is_finite() {
         bail!(
@@ -263,7 +270,7 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
 }
 
 /// Parameters on the validation clips.
-fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Judgement {
+fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Result<Judgement> {
     let data = trainer.data;
     judge(
         parameters,
@@ -277,7 +284,7 @@ fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Judgement
 }
 
 /// A number that settings and data share with no other run (FNV-1a).
-fn fingerprint(settings: &Settings, data: &Data) -> u64 {
+fn fingerprint(settings: &Settings, data: &Data) -> Result<u64> {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut eat = |bytes: &[u8]| {
         for b in bytes {
@@ -285,7 +292,7 @@ fn fingerprint(settings: &Settings, data: &Data) -> u64 {
         }
     };
     eat(format!("{settings:?}").as_bytes());
-    for clip in data.train.iter().chain(&data.heard).chain(&data.validation) {
+    let mut eat_clip = |clip: Clip| {
         eat(clip.id.as_bytes());
         eat(&clip.x.sum().to_bits().to_le_bytes());
         eat(&(clip.x.nrows() as u64).to_le_bytes());
@@ -299,6 +306,10 @@ fn fingerprint(settings: &Settings, data: &Data) -> u64 {
         if let Some(mouth) = &clip.mouth {
             eat(&mouth.sum().to_bits().to_le_bytes());
         }
+        Ok(())
+    };
+    for clips in [&data.train, &data.heard, &data.validation] {
+        in_order(clips.len(), |n| clips.get(n), &mut eat_clip)?;
     }
-    hash
+    Ok(hash)
 }

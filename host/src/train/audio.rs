@@ -3,20 +3,20 @@
 use anyhow::Result;
 use ndarray::{Array3, Axis};
 
-use super::em::{Coupled, passes, split_audio};
+use super::data::{Clips, Observed};
+use super::em::{Aligned, Coupled, passes, split_audio};
 use super::{Say, Settings};
-use crate::hmm::em::{self, Parameters, Utterance};
+use crate::hmm::em::{Parameters, Start};
+use crate::hmm::source::{Source, in_order};
 use crate::hmm::system::Density;
-use crate::hmm::topology::{Topology, VisualAtom};
+use crate::hmm::topology::VisualAtom;
 use crate::model::{Mixtures, N_EMITTING};
 
-/// Which phones the utterances' networks hold.
-pub(super) fn seen(train: &[Utterance], n: usize) -> Vec<bool> {
+/// Which phones the clips' networks hold.
+pub(super) fn seen(train: &Clips, n: usize) -> Vec<bool> {
     let mut seen = vec![false; n];
-    train
-        .iter()
-        .flat_map(|u| &u.network.nodes)
-        .for_each(|&p| seen[p] = true);
+    let nodes = train.networks().flat_map(|network| network.nodes);
+    nodes.for_each(|p| seen[p] = true);
     seen
 }
 
@@ -51,11 +51,8 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
     if parameters.topology.visual == VisualAtom::Viseme {
         return;
     }
-    let (states, k, size) = visual.mean.dim();
-    let mut frames = vec![0.0f64; states];
-    for (_, state) in coupled.aligned.iter().flatten().flatten() {
-        frames[*state] += 1.0;
-    }
+    let (_, k, size) = visual.mean.dim();
+    let frames = &coupled.aligned.visual_frames;
     for (p, phone) in parameters.phones.iter().enumerate().filter(|(p, _)| !seen[*p]) {
         for j in 0..N_EMITTING {
             let (mut n, mut first, mut second) = (0.0, vec![0.0; size], vec![0.0; size]);
@@ -89,41 +86,39 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
     }
 }
 
-/// The audio HMM alone, started from the coupled model's alignment and the labels of the other speakers, trained on all
-/// of them. Where densities are joint its components stay those of the mouth: they are trained on, not grown anew.
+/// Where the audio HMM alone starts, and what it is trained on: the clips with video by the coupled model's alignment, the
+/// other speakers by their labels.
+pub(super) fn all_speakers<'a>(
+    aligned: Aligned,
+    train: &Clips<'a>,
+    heard: &Clips<'a>,
+) -> Result<(Start, Clips<'a>)> {
+    let mut start = aligned.sound;
+    in_order(
+        heard.len(),
+        |n| heard.get(n),
+        |utterance| {
+            start.add(&utterance, &utterance.start);
+            Ok(())
+        },
+    )?;
+    let mut all = train.observed(Observed::Sound);
+    all.keep(&aligned.fits);
+    all.extend(heard);
+    Ok((start, all))
+}
+
+/// The audio HMM alone. Where densities are joint its components stay those of the mouth: they are trained on, not grown
+/// anew.
 pub(super) fn retrain(
-    coupled: &Coupled,
+    before: &Parameters,
     seen: &[bool],
     density: Density,
-    train: &[Utterance],
-    heard: &[Vec<Utterance>],
+    (start, all): (Start, Clips),
     settings: &Settings,
     say: Say,
 ) -> Result<Mixtures> {
-    let before = &coupled.parameters;
-    if heard.iter().all(Vec::is_empty) {
-        return Ok(before.audio.clone());
-    }
-    let own = train
-        .iter()
-        .zip(&coupled.aligned)
-        .filter_map(|(utterance, path)| {
-            let start = path
-                .as_ref()?
-                .iter()
-                .map(|&(audio, _)| (audio / N_EMITTING, audio % N_EMITTING))
-                .collect();
-            Some(Utterance {
-                visual: None,
-                start,
-                ..utterance.clone()
-            })
-        });
-    let others = heard.iter().flatten().cloned();
-    let all: Vec<Utterance> = own
-        .chain(others.map(|u| Utterance { visual: None, ..u }))
-        .collect();
-    let (mut parameters, floors, _) = em::start(&all, Topology::PH_HMM, &before.phones);
+    let (mut parameters, floors, _) = start.finish();
     let components = before.audio.mean.dim().1;
     if density == Density::Joint {
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);

@@ -1,37 +1,62 @@
 //! The phone bigram that the loop over all phones follows.
 use ndarray::{Array1, Array2};
 
-use crate::hmm::em::Utterance;
+use super::data::Clips;
 use crate::model::N_EMITTING;
+
+/// How often each phone came first, and each after each.
+#[derive(Clone, Debug)]
+pub(super) struct Said {
+    first: Array1<f64>,
+    next: Array2<f64>,
+}
+
+impl Said {
+    pub(super) fn none(phones: usize) -> Self {
+        Self {
+            first: Array1::zeros(phones),
+            next: Array2::zeros((phones, phones)),
+        }
+    }
+
+    /// Adds the phones of one utterance.
+    pub(super) fn add(&mut self, said: &[usize]) {
+        if let Some(&first) = said.first() {
+            self.first[first] += 1.0;
+        }
+        for pair in said.windows(2) {
+            self.next[[pair[0], pair[1]]] += 1.0;
+        }
+        // Speech goes on after an utterance: its last phone is followed by its first.
+        if let (Some(&first), Some(&last)) = (said.first(), said.last()) {
+            self.next[[last, first]] += 1.0;
+        }
+    }
+}
+
+/// The phones of an alignment.
+pub(super) fn said_on(path: &[(usize, usize)]) -> Vec<usize> {
+    let begins = |t: usize| {
+        let audio = path[t].0;
+        t == 0 || (audio.is_multiple_of(N_EMITTING) && path[t - 1].0 != audio)
+    };
+    let starts = (0..path.len()).filter(|&t| begins(t));
+    starts.map(|t| path[t].0 / N_EMITTING).collect()
+}
 
 /// ln P(first phone) and ln P(next | phone): halves from the model's own talker and from the other speakers, with a
 /// twentieth spread evenly, so that every phone can follow every other.
-pub(super) fn bigram(
-    n: usize,
-    aligned: &[Option<Vec<(usize, usize)>>],
-    heard: &[Vec<Utterance>],
-) -> (Vec<f32>, Array2<f32>) {
-    let mut own = (Array1::<f64>::zeros(n), Array2::<f64>::zeros((n, n)));
-    for path in aligned.iter().flatten() {
-        let mut said: Vec<usize> = Vec::new();
-        for (t, &(audio, _)) in path.iter().enumerate() {
-            let begins = t == 0 || (audio % N_EMITTING == 0 && path[t - 1].0 != audio);
-            if begins {
-                said.push(audio / N_EMITTING);
-            }
-        }
-        count(&said, &mut own);
-    }
-    let mut others = (Array1::<f64>::zeros(n), Array2::<f64>::zeros((n, n)));
-    for utterance in heard.iter().flatten() {
+pub(super) fn bigram(n: usize, own: &Said, heard: &Clips) -> (Vec<f32>, Array2<f32>) {
+    let mut others = Said::none(n);
+    for network in heard.networks() {
         // Labelled utterances are chains; in a transcript the first pronunciation stands for all.
         let mut said = Vec::new();
-        let mut node = utterance.network.entries.first().map(|e| e.0);
+        let mut node = network.entries.first().map(|e| e.0);
         while let Some(at) = node {
-            said.push(utterance.network.nodes[at]);
-            node = utterance.network.successors[at].first().map(|s| s.0);
+            said.push(network.nodes[at]);
+            node = network.successors[at].first().map(|s| s.0);
         }
-        count(&said, &mut others);
+        others.add(&said);
     }
     let mix = |a: f64, total_a: f64, b: f64, total_b: f64| -> f32 {
         let even = 1.0 / n as f64;
@@ -44,30 +69,17 @@ pub(super) fn bigram(
         };
         (wa * share(a, total_a) + wb * share(b, total_b) + (1.0 - wa - wb) * even).ln() as f32
     };
-    let (first_own, first_others) = (own.0.sum(), others.0.sum());
+    let (first_own, first_others) = (own.first.sum(), others.first.sum());
     let initial = (0..n)
-        .map(|p| mix(own.0[p], first_own, others.0[p], first_others))
+        .map(|p| mix(own.first[p], first_own, others.first[p], first_others))
         .collect();
     let table = Array2::from_shape_fn((n, n), |(p, q)| {
         mix(
-            own.1[[p, q]],
-            own.1.row(p).sum(),
-            others.1[[p, q]],
-            others.1.row(p).sum(),
+            own.next[[p, q]],
+            own.next.row(p).sum(),
+            others.next[[p, q]],
+            others.next.row(p).sum(),
         )
     });
     (initial, table)
-}
-
-fn count(said: &[usize], counts: &mut (Array1<f64>, Array2<f64>)) {
-    if let Some(&first) = said.first() {
-        counts.0[first] += 1.0;
-    }
-    for pair in said.windows(2) {
-        counts.1[[pair[0], pair[1]]] += 1.0;
-    }
-    // Speech goes on after an utterance: its last phone is followed by its first.
-    if let (Some(&first), Some(&last)) = (said.first(), said.last()) {
-        counts.1[[last, first]] += 1.0;
-    }
 }

@@ -1,11 +1,18 @@
-//! Clips of a feature folder as training sees them: observations at 100 Hz, a network of phones, start labels.
-use anyhow::{Result, bail};
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
-use ndarray::{Array2, ArrayView2};
+//! Clips of feature folders as training sees them: observations at 100 Hz, a network of phones, start labels. They are read
+//! when their turn comes.
+use std::borrow::Cow;
 
+use anyhow::{Context as _, Result, bail};
+use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
+use ndarray::{Array2, ArrayView2, Axis, concatenate};
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64;
+
+use super::Say;
 use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
-use crate::hmm::em::Utterance;
 use crate::hmm::network::PhoneNetwork;
+use crate::hmm::source::{Source, Utterance, in_order};
 use crate::model::N_EMITTING;
 use crate::phones::Phone;
 
@@ -109,7 +116,7 @@ pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Op
 }
 
 /// The network of a clip that can be used; `Err` says why it cannot. Looks at the manifest only.
-pub fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
+fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
     let Some(network) = network(clip, index) else {
         bail!(
             "clip {}: its transcript holds a phone that the model does not have, or none at all",
@@ -126,29 +133,171 @@ pub fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Pho
     Ok(network)
 }
 
-/// Reads one clip; `Err` says why it cannot be used.
-pub fn utterance(
-    folder: &FeatureFolder,
-    clip: &Clip,
-    index: &dyn Fn(Phone) -> Option<usize>,
-) -> Result<Utterance> {
-    let network = usable(clip, index)?;
-    let audio = folder.audio(clip)?;
-    let visual = match clip.video_frames {
-        0 => None,
-        _ => Some(to_audio_rate(
-            folder.visual(clip)?.view(),
-            clip.video_hz,
-            clip.audio_frames,
-        )),
-    };
-    let start = start_labels(&timed_phones(clip), clip.audio_frames, index)?;
+/// What an utterance's observations are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Observed {
+    /// Sound, and mouth where there is one.
+    Apart,
+    /// [oᵃ; oᵛ] as one observation.
+    Stacked,
+    Sound,
+}
+
+/// Clips of one split of feature folders, read one by one.
+#[derive(Clone)]
+pub struct Clips<'a> {
+    clips: Vec<(&'a FeatureFolder, &'a Clip)>,
+    phones: &'a [Phone],
+    observed: Observed,
+}
+
+impl<'a> Clips<'a> {
+    pub fn none(phones: &'a [Phone]) -> Self {
+        Self {
+            clips: Vec::new(),
+            phones,
+            observed: Observed::Apart,
+        }
+    }
+
+    /// The clips that can be used; `say` names the others. Looks at the manifest only.
+    pub fn new(folder: &'a FeatureFolder, split: Split, phones: &'a [Phone], say: Say) -> Self {
+        let mut all = Self {
+            clips: folder.split(split).map(|clip| (folder, clip)).collect(),
+            ..Self::none(phones)
+        };
+        let fit = all
+            .clips
+            .iter()
+            .map(|(_, clip)| usable(clip, &all.index()).map(drop));
+        let fit: Vec<Result<()>> = fit.collect();
+        all.leave_out(fit, say);
+        all
+    }
+
+    /// Those whose files can be read, and have a mouth if they are to.
+    pub fn readable(mut self, with_video: bool, say: Say) -> Self {
+        let mut read = Vec::new();
+        let try_one = |n: usize| {
+            let utterance = self.get(n);
+            Ok(utterance.and_then(|u| match with_video && u.visual.is_none() {
+                true => bail!("clip {}: it has no video", u.id),
+                false => Ok(()),
+            }))
+        };
+        let all = in_order(self.len(), try_one, |one| {
+            read.push(one);
+            Ok(())
+        });
+        debug_assert!(all.is_ok(), "what cannot be read is no error here");
+        self.leave_out(read, say);
+        self
+    }
+
+    fn leave_out(&mut self, fit: Vec<Result<()>>, say: Say) {
+        let before = self.len();
+        for error in fit.iter().filter_map(|f| f.as_ref().err()) {
+            say(&format!("left out: {error:#}"));
+        }
+        self.keep(&fit.iter().map(Result::is_ok).collect::<Vec<_>>());
+        if self.len() < before {
+            say(&format!(
+                "{} clips left out, {} used",
+                before - self.len(),
+                self.len()
+            ));
+        }
+    }
+
+    /// Keeps the clips that `kept` says.
+    pub fn keep(&mut self, kept: &[bool]) {
+        let mut kept = kept.iter();
+        self.clips.retain(|_| kept.next().is_some_and(|k| *k));
+    }
+
+    /// Keeps so many of the clips, drawn by the seed, in their order.
+    pub fn draw(&mut self, clips: usize, seed: u64) {
+        let mut order: Vec<usize> = (0..self.len()).collect();
+        order.shuffle(&mut Pcg64::seed_from_u64(seed));
+        let mut kept = vec![false; self.len()];
+        order.iter().take(clips).for_each(|&n| kept[n] = true);
+        self.keep(&kept);
+    }
+
+    /// The clips from `at` on, which are taken away.
+    pub fn split_off(&mut self, at: usize) -> Self {
+        Self {
+            clips: self.clips.split_off(at.min(self.len())),
+            ..*self
+        }
+    }
+
+    /// The same clips, otherwise observed.
+    pub fn observed(&self, observed: Observed) -> Self {
+        Self {
+            observed,
+            ..self.clone()
+        }
+    }
+
+    /// Adds the clips of another folder.
+    pub fn extend(&mut self, other: &Self) {
+        self.clips.extend(&other.clips);
+    }
+
+    /// The networks of the clips; reads none.
+    pub fn networks(&self) -> impl Iterator<Item = PhoneNetwork> {
+        let clips = self.clips.iter();
+        clips.filter_map(|(_, clip)| network(clip, &self.index()))
+    }
+
+    fn index(&self) -> impl Fn(Phone) -> Option<usize> {
+        |phone| self.phones.iter().position(|p| *p == phone)
+    }
+}
+
+impl Source for Clips<'_> {
+    fn len(&self) -> usize {
+        self.clips.len()
+    }
+
+    fn get(&self, n: usize) -> Result<Cow<'_, Utterance>> {
+        let (folder, clip) = self.clips[n];
+        let network = usable(clip, &self.index())?;
+        let start = start_labels(&timed_phones(clip), clip.audio_frames, &self.index())?;
+        let audio = folder.audio(clip)?;
+        let visual = match clip.video_frames {
+            _ if self.observed == Observed::Sound => None,
+            0 => None,
+            _ => {
+                let visual = folder.visual(clip)?;
+                Some(to_audio_rate(visual.view(), clip.video_hz, clip.audio_frames))
+            }
+        };
+        let apart = Utterance {
+            id: clip.id.clone(),
+            audio,
+            visual,
+            network,
+            start,
+        };
+        Ok(Cow::Owned(match self.observed {
+            Observed::Stacked => stacked(apart)?,
+            Observed::Apart | Observed::Sound => apart,
+        }))
+    }
+}
+
+/// [oᵃ; oᵛ] as one observation.
+pub(super) fn stacked(apart: Utterance) -> Result<Utterance> {
+    let visual = apart
+        .visual
+        .with_context(|| format!("clip {} has no video", apart.id))?;
+    let audio: Array2<f32> = concatenate(Axis(1), &[apart.audio.view(), visual.view()])?;
     Ok(Utterance {
-        id: clip.id.clone(),
-        audio,
-        visual,
-        network,
-        start,
+        audio: audio.as_standard_layout().into_owned(),
+        visual: None,
+        ..apart
     })
 }
 
@@ -167,28 +316,6 @@ pub fn phones_said<'a>(clips: impl Iterator<Item = &'a Clip>) -> Vec<Phone> {
     said.sort_unstable();
     said.dedup();
     said
-}
-
-/// All usable clips of a split, and a line for each that is not.
-pub fn load(
-    folder: &FeatureFolder,
-    split: Split,
-    index: &(dyn Fn(Phone) -> Option<usize> + Sync),
-) -> (Vec<Utterance>, Vec<String>) {
-    use rayon::prelude::*;
-    let clips: Vec<&Clip> = folder.split(split).collect();
-    let read: Vec<Result<Utterance>> = clips
-        .par_iter()
-        .map(|clip| utterance(folder, clip, index))
-        .collect();
-    let (mut utterances, mut refused) = (Vec::new(), Vec::new());
-    for result in read {
-        match result {
-            Ok(utterance) => utterances.push(utterance),
-            Err(error) => refused.push(format!("{error:#}")),
-        }
-    }
-    (utterances, refused)
 }
 
 #[cfg(test)]

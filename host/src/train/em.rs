@@ -3,16 +3,20 @@
 use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
-use ndarray::{Array2, Array3, Axis, concatenate, s};
+use ndarray::{Array3, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+use super::bigram::{self, Said};
+use super::data::{Clips, Observed};
 use super::state::State;
 use super::{Say, Settings};
 use crate::hmm::density::{self, Floors};
-use crate::hmm::em::{self, Parameters, Utterance};
+use crate::hmm::em::{self, Aligner, Parameters};
+use crate::hmm::source::{Source, in_order};
 use crate::hmm::system::{Density, System};
-use crate::model::Mixtures;
+use crate::hmm::topology::Topology;
+use crate::model::{Mixtures, N_EMITTING};
 use crate::phones::Phone;
 
 /// Frames that a component must have before it is split.
@@ -23,31 +27,46 @@ pub(super) struct Coupled {
     /// Transitions, and densities of the sound and of the mouth. Components of a joint density stand side by side in
     /// both.
     pub(super) parameters: Parameters,
-    /// Audio and visual state of every frame of every training utterance, where a path fits.
-    pub(super) aligned: Vec<Option<Vec<(usize, usize)>>>,
+    pub(super) aligned: Aligned,
 }
 
-/// Trains `system`'s HMM on utterances with video.
+/// What the forced alignment of the training clips is asked for later.
+pub(super) struct Aligned {
+    /// Whether a path fits, clip by clip.
+    pub(super) fits: Vec<bool>,
+    /// Frames in each visual state.
+    pub(super) visual_frames: Vec<f64>,
+    /// What was said.
+    pub(super) said: Said,
+    /// Where an HMM of the sound alone starts.
+    pub(super) sound: em::Start,
+}
+
+/// Trains `system`'s HMM on clips with video.
 pub(super) fn coupled(
-    train: &[Utterance],
-    validation: &[Utterance],
+    train: &Clips,
+    validation: &Clips,
     phones: &[Phone],
     system: System,
     settings: &Settings,
     say: Say,
 ) -> Result<Coupled> {
-    if system.density == Density::Streams {
-        let parameters = grow(train, validation, phones, system, settings, say)?;
-        let aligned = em::align(&parameters, train);
-        return Ok(Coupled { parameters, aligned });
+    let observed = observed(system);
+    let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
+    let parameters = grow(&train_on, &judge_on, phones, system, settings, say)?;
+    finish(parameters, train, observed)
+}
+
+/// What `system`'s densities see.
+pub(super) fn observed(system: System) -> Observed {
+    match system.density {
+        Density::Streams => Observed::Apart,
+        Density::Joint => Observed::Stacked,
     }
-    let stacked = stack(train)?;
-    let parameters = grow(&stacked, &stack(validation)?, phones, system, settings, say)?;
-    Ok(part(parameters, train, &stacked))
 }
 
 /// The first stage as `lipstream train accumulate` and `merge` have done it.
-pub(super) fn from_state(state: &State, train: &[Utterance], phones: &[Phone]) -> Result<Coupled> {
+pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Result<Coupled> {
     let parameters = state.parameters.clone();
     if parameters.phones != phones {
         bail!(
@@ -56,79 +75,83 @@ pub(super) fn from_state(state: &State, train: &[Utterance], phones: &[Phone]) -
             phones.len()
         );
     }
-    let sizes = |u: &Utterance| (u.audio.ncols(), u.visual.as_ref().map(|v| v.ncols()));
-    let joint = state.system.density == Density::Joint;
+    let observed = observed(state.system);
     let have = (
         parameters.audio.mean.dim().2,
         parameters.visual.as_ref().map(|v| v.mean.dim().2),
     );
-    if let Some((audio, visual)) = train.first().map(sizes) {
-        let want = match joint {
-            true => (audio + visual.unwrap_or(0), None),
-            false => (audio, visual),
-        };
-        if have != want {
-            bail!("the state is of other features: start it with the same folders");
-        }
+    let clips = train.observed(observed);
+    let first = clips.get(0)?;
+    if have != (first.audio.ncols(), first.visual.as_ref().map(|v| v.ncols())) {
+        bail!("the state is of other features: start it with the same folders");
     }
-    if joint {
-        return Ok(part(parameters, train, &stack(train)?));
+    finish(parameters, train, observed)
+}
+
+/// Aligns the clips, and parts joint densities into those of the sound and those of the mouth.
+fn finish(mut parameters: Parameters, train: &Clips, observed: Observed) -> Result<Coupled> {
+    let audio_size = train.get(0)?.audio.ncols();
+    let aligned = align(&parameters, train, observed, audio_size)?;
+    if observed == Observed::Stacked {
+        part(&mut parameters, audio_size);
     }
-    let aligned = em::align(&parameters, train);
     Ok(Coupled { parameters, aligned })
 }
 
-/// Aligns, and parts joint densities into those of the sound and those of the mouth.
-fn part(mut parameters: Parameters, train: &[Utterance], stacked: &[Utterance]) -> Coupled {
-    let aligned = em::align(&parameters, stacked);
-    let audio_size = train.first().map_or(0, |u| u.audio.ncols());
-    let both = parameters.audio;
-    let part = |of: &Array3<f32>, from, to| of.slice(s![.., .., from..to]).to_owned();
-    let end = both.mean.dim().2;
-    parameters.audio = Mixtures {
-        mean: part(&both.mean, 0, audio_size),
-        variance: part(&both.variance, 0, audio_size),
-        log_weight: both.log_weight.clone(),
+fn align(parameters: &Parameters, train: &Clips, observed: Observed, audio_size: usize) -> Result<Aligned> {
+    let n_visual = parameters.topology.n_visual_states(parameters.phones.len());
+    let mut aligned = Aligned {
+        fits: Vec::new(),
+        visual_frames: vec![0.0; n_visual],
+        said: Said::none(parameters.phones.len()),
+        sound: em::Start::new(Topology::PH_HMM, &parameters.phones, (audio_size, 0)),
     };
-    parameters.visual = Some(Mixtures {
-        mean: part(&both.mean, audio_size, end),
-        variance: part(&both.variance, audio_size, end),
-        log_weight: both.log_weight,
-    });
-    Coupled { parameters, aligned }
+    let (whole, sound) = (train.observed(observed), train.observed(Observed::Sound));
+    let aligner = Aligner::new(parameters);
+    let work = |n: usize| Ok((sound.get(n)?, aligner.path(&*whole.get(n)?)));
+    in_order(train.len(), work, |(heard, path)| {
+        aligned.fits.push(path.is_some());
+        let Some(path) = path else { return Ok(()) };
+        path.iter().for_each(|&(_, v)| aligned.visual_frames[v] += 1.0);
+        aligned.said.add(&bigram::said_on(&path));
+        let labels: Vec<_> = path
+            .iter()
+            .map(|&(a, _)| (a / N_EMITTING, a % N_EMITTING))
+            .collect();
+        aligned.sound.add(&heard, &labels);
+        Ok(())
+    })?;
+    Ok(aligned)
 }
 
-/// [oᵃ; oᵛ] as one observation.
-fn stack(utterances: &[Utterance]) -> Result<Vec<Utterance>> {
-    utterances.iter().map(stacked).collect()
-}
-
-pub(super) fn stacked(u: &Utterance) -> Result<Utterance> {
-    let visual = u
-        .visual
-        .as_ref()
-        .with_context(|| format!("clip {} has no video", u.id))?;
-    let audio: Array2<f32> = concatenate(Axis(1), &[u.audio.view(), visual.view()])?;
-    Ok(Utterance {
-        id: u.id.clone(),
-        audio: audio.as_standard_layout().into_owned(),
-        visual: None,
-        network: u.network.clone(),
-        start: u.start.clone(),
-    })
+/// Parts joint densities into those of the sound, the first `audio_size` numbers, and those of the mouth.
+fn part(parameters: &mut Parameters, audio_size: usize) {
+    let both = &parameters.audio;
+    let end = both.mean.dim().2;
+    let part = |from, to| {
+        let part = |of: &Array3<f32>| of.slice(s![.., .., from..to]).to_owned();
+        Mixtures {
+            mean: part(&both.mean),
+            variance: part(&both.variance),
+            log_weight: both.log_weight.clone(),
+        }
+    };
+    let (audio, visual) = (part(0, audio_size), part(audio_size, end));
+    parameters.audio = audio;
+    parameters.visual = Some(visual);
 }
 
 /// Grows mixtures by splitting, with EM passes in between; prints the log likelihood of each. The numbers of components
 /// are those under which the validation clips are likeliest, at most what the settings allow.
 fn grow(
-    train: &[Utterance],
-    validation: &[Utterance],
+    train: &Clips,
+    validation: &Clips,
     phones: &[Phone],
     system: System,
     settings: &Settings,
     say: Say,
 ) -> Result<Parameters> {
-    let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones);
+    let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
     let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
     let mut best: Option<(f64, Parameters)> = None;
     loop {
@@ -141,7 +164,7 @@ fn grow(
             say,
         )?;
         if !validation.is_empty() {
-            let unseen = em::expect(&parameters, validation, &|_| ()).per_frame();
+            let unseen = em::expect(&parameters, validation)?.per_frame();
             say(&format!("  validation clips: {unseen:.4} a frame"));
             match &best {
                 Some((likeliest, before)) if unseen <= *likeliest => return Ok(before.clone()),
@@ -174,7 +197,7 @@ pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
 /// A stage of EM passes; returns the sums of the last one. What an interrupted run has kept is taken up.
 pub(super) fn passes(
     parameters: &mut Parameters,
-    utterances: &[Utterance],
+    clips: &Clips,
     audio: &Floors,
     visual: Option<&Floors>,
     settings: &Settings,
@@ -190,7 +213,7 @@ pub(super) fn passes(
     }
     for pass in done + 1..=n {
         let begun = Instant::now();
-        let sums = em::expect(parameters, utterances, &|_| ());
+        let sums = em::expect(parameters, clips)?;
         if sums.frames == 0 {
             bail!("no utterance fits its transcript: check the labels");
         }

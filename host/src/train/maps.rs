@@ -3,14 +3,13 @@
 use anyhow::{Context as _, Result};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
-use rayon::prelude::*;
 
 use super::{Say, Settings};
 use crate::evaluate::metrics::Score;
 use crate::hmm::Hmm;
 use crate::hmm::convert::{Follower, Lag, smooth};
-use crate::hmm::em::Utterance;
 use crate::hmm::inversion::Inverter;
+use crate::hmm::source::{Source, Utterance, in_order};
 use crate::local_linear::{self, ContextSums, MapSums};
 use crate::model::{ContextMap, EmSettings, Following, LocalLinear, MStep};
 
@@ -20,54 +19,70 @@ fn visual(u: &Utterance) -> Result<&Array2<f32>> {
         .with_context(|| format!("clip {} has no video", u.id))
 }
 
+/// Clips whose sums are added up before they join the others.
+const CHUNK: usize = 16;
+
 /// Context, maps, and how the model is to be followed: the acoustic scale and the ridge penalty with the smallest error
 /// on the `judges`.
 pub(crate) fn maps(
     hmm: &Hmm,
-    train: &[Utterance],
-    judges: &[Utterance],
+    train: &impl Source,
+    judges: &impl Source,
     settings: &Settings,
     say: Say,
 ) -> Result<(Following, ContextMap, LocalLinear)> {
     let statics = |u: &Utterance| u.audio.slice(s![.., ..N_STATIC]).to_owned();
     let mut sums = ContextSums::new(settings.taps.len() * N_STATIC);
-    for utterance in train {
-        sums.add(&local_linear::stack(statics(utterance).view(), &settings.taps));
-    }
+    let stacked = |n: usize| {
+        let utterance = train.get(n)?;
+        Ok(local_linear::stack(statics(&utterance).view(), &settings.taps))
+    };
+    in_order(train.len(), stacked, |rows| {
+        sums.add(&rows);
+        Ok(())
+    })?;
     let context = sums.solve(&settings.taps, settings.context)?;
     let project = |u: &Utterance| local_linear::project(&context, statics(u).view());
-    let inputs: Vec<Array2<f32>> = train.par_iter().map(project).collect();
-    let judged: Vec<Array2<f32>> = judges.par_iter().map(project).collect();
-    let size = train
-        .first()
-        .and_then(|u| u.visual.as_ref())
-        .map_or(0, |v| v.ncols());
+    let size = hmm.visual.mean.dim().2;
     let new_sums = || MapSums::new(settings.context, size, hmm.n_visual_states());
     let lag = Lag::Frames(settings.lag);
     let mut best: Option<(f64, Following, LocalLinear)> = None;
     for &acoustic_scale in &settings.acoustic_scales {
         let follower = Follower::new(hmm, acoustic_scale);
         let occupancy = |u: &Utterance| follower.occupancies(&u.audio, lag).map(|(_, visual)| visual);
-        let parts: Vec<MapSums> = train
-            .par_chunks(16)
-            .zip(inputs.par_chunks(16))
-            .map(|(utterances, inputs)| {
-                let mut sums = new_sums();
-                for (u, x) in utterances.iter().zip(inputs) {
-                    sums.add(x, visual(u)?, &occupancy(u)?);
-                }
-                Ok(sums)
-            })
-            .collect::<Result<_>>()?;
         let mut sums = new_sums();
-        parts.iter().for_each(|part| sums.merge(part));
-        let seen: Vec<Array2<f32>> = judges.par_iter().map(occupancy).collect::<Result<_>>()?;
-        for &penalty in &settings.penalties {
-            let maps = sums.solve(1.0, penalty)?;
-            let mut score = Score::new(size);
-            for ((u, x), occupancy) in judges.iter().zip(&judged).zip(&seen) {
-                score.add(visual(u)?, &smooth(&local_linear::apply(&maps, x, occupancy)));
+        let sums_of = |chunk: usize| {
+            let mut sums = new_sums();
+            for n in CHUNK * chunk..(CHUNK * (chunk + 1)).min(train.len()) {
+                let u = train.get(n)?;
+                sums.add(&project(&u), visual(&u)?, &occupancy(&u)?);
             }
+            Ok(sums)
+        };
+        in_order(train.len().div_ceil(CHUNK), sums_of, |part| {
+            sums.merge(&part);
+            Ok(())
+        })?;
+        let penalties = settings.penalties.iter();
+        let fitted: Vec<LocalLinear> = penalties
+            .map(|penalty| sums.solve(1.0, *penalty))
+            .collect::<Result<_>>()?;
+        let mut scores = vec![Score::new(size); fitted.len()];
+        let said = |n: usize| {
+            let u = judges.get(n)?;
+            let (x, occupancy) = (project(&u), occupancy(&u)?);
+            let said = fitted
+                .iter()
+                .map(|maps| smooth(&local_linear::apply(maps, &x, &occupancy)));
+            Ok((visual(&u)?.clone(), said.collect()))
+        };
+        in_order(judges.len(), said, |(truth, said): (_, Vec<Array2<f32>>)| {
+            for (score, said) in scores.iter_mut().zip(&said) {
+                score.add(&truth, said);
+            }
+            Ok(())
+        })?;
+        for ((maps, score), penalty) in fitted.into_iter().zip(&scores).zip(&settings.penalties) {
             say(&format!(
                 "  maps: acoustic scale {acoustic_scale}, penalty {penalty}: AMSE {:.2}, ACC {:.4} on {} validation clips",
                 score.amse(),
@@ -95,7 +110,7 @@ const MOST_ITERATIONS: usize = 5;
 /// The exponents and the number of iterations with the smallest error of conversion by means on the `judges`.
 pub(super) fn conversion(
     hmm: &Hmm,
-    judges: &[Utterance],
+    judges: &impl Source,
     settings: &Settings,
     say: Say,
 ) -> Result<EmSettings> {
@@ -108,17 +123,19 @@ pub(super) fn conversion(
             iterations: MOST_ITERATIONS,
             m_step: MStep::Exact,
         };
-        let estimates: Vec<_> = judges
-            .par_iter()
-            .map(|u| inverter.iterations(&u.audio, &with))
-            .collect::<Result<_>>()?;
         let size = hmm.visual.mean.dim().2;
         let mut scores = vec![Score::new(size); MOST_ITERATIONS + 1];
-        for (u, estimates) in judges.iter().zip(&estimates) {
-            for (score, estimate) in scores.iter_mut().zip(estimates) {
-                score.add(visual(u)?, &smooth(&estimate.parameters));
+        let estimates = |n: usize| {
+            let u = judges.get(n)?;
+            let estimates = inverter.iterations(&u.audio, &with)?;
+            Ok((visual(&u)?.clone(), estimates))
+        };
+        in_order(judges.len(), estimates, |(truth, estimates)| {
+            for (score, estimate) in scores.iter_mut().zip(&estimates) {
+                score.add(&truth, &smooth(&estimate.parameters));
             }
-        }
+            Ok(())
+        })?;
         for (iterations, score) in scores.iter().enumerate() {
             if score.amse() < best.0 {
                 *best = (score.amse(), EmSettings { iterations, ..with });

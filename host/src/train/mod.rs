@@ -12,19 +12,16 @@ pub mod sums;
 
 use anyhow::{Context as _, Result, bail};
 use ndarray::Array1;
-use rand::SeedableRng;
-use rand::seq::SliceRandom;
-use rand_pcg::Pcg64;
 
+use self::data::{Clips, Observed};
 use self::progress::Progress;
 use self::state::State;
 use crate::features::{FeatureFolder, Split};
 use crate::hmm::Hmm;
-use crate::hmm::em::Utterance;
+use crate::hmm::source::Source;
 use crate::hmm::system::System;
 use crate::model::Model;
 use crate::mouth::MouthSpace;
-use crate::phones::Phone;
 use crate::tensors::Tensors;
 
 /// Choices of a training run.
@@ -100,17 +97,20 @@ pub fn train(
     }
     let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
     let phones = data::phones_said(folders.iter().flat_map(|f| f.split(Split::Train)));
-    let index = |phone: Phone| phones.iter().position(|p| *p == phone);
-    let mut train = load(folder, Split::Train, &index, say)?;
-    draw(&mut train, settings);
-    let validation = load(folder, Split::Val, &index, say)?;
+    let with_video = |split| Clips::new(folder, split, &phones, say).readable(true, say);
+    let mut train = with_video(Split::Train);
+    if let Some(clips) = settings.clips {
+        train.draw(clips, settings.seed);
+    }
+    let validation = with_video(Split::Val);
     if train.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
-    let heard: Vec<Vec<Utterance>> = audio_only
-        .iter()
-        .map(|f| load(f, Split::Train, &index, say))
-        .collect::<Result<_>>()?;
+    let mut heard = Clips::none(&phones).observed(Observed::Sound);
+    for folder in audio_only {
+        let clips = Clips::new(folder, Split::Train, &phones, say).observed(Observed::Sound);
+        heard.extend(&clips.readable(false, say));
+    }
 
     let system = settings.system;
     say(&format!(
@@ -129,10 +129,15 @@ pub fn train(
     coupled.parameters.transition = audio::pool_unseen(&coupled.parameters, &seen);
     audio::look_of_viseme(&mut coupled, &seen);
     say("audio densities on all speakers");
-    let audio = audio::retrain(&coupled, &seen, system.density, &train, &heard, settings, say)?;
-    let (initial, bigram) = bigram::bigram(phones.len(), &coupled.aligned, &heard);
-
-    let parameters = coupled.parameters;
+    let em::Coupled { parameters, aligned } = coupled;
+    let (initial, bigram) = bigram::bigram(phones.len(), &aligned.said, &heard);
+    let audio = match heard.is_empty() {
+        true => parameters.audio,
+        false => {
+            let all = audio::all_speakers(aligned, &train, &heard)?;
+            audio::retrain(&parameters, &seen, system.density, all, settings, say)?
+        }
+    };
     let visual = parameters.visual.context("joint EM left no visual densities")?;
     let hmm = Hmm {
         topology: system.topology,
@@ -145,10 +150,9 @@ pub fn train(
         bigram: &bigram,
     };
     say("how it is followed, and what it says");
-    let judges = if validation.is_empty() {
-        &train
-    } else {
-        &validation
+    let judges = match validation.is_empty() {
+        true => &train,
+        false => &validation,
     };
     let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, say)?;
     let conversion = maps::conversion(&hmm, judges, settings, say)?;
@@ -162,7 +166,7 @@ pub fn train(
         system.describe(),
         train.len(),
         corpus_name(folder),
-        heard.iter().map(Vec::len).sum::<usize>(),
+        heard.len(),
         audio.mean.dim().1,
         visual.mean.dim().1
     );
@@ -184,43 +188,10 @@ pub fn train(
     })
 }
 
-/// Keeps as many clips as the settings ask for, in their order.
-fn draw(train: &mut Vec<Utterance>, settings: &Settings) {
-    let Some(clips) = settings.clips.filter(|n| *n < train.len()) else {
-        return;
-    };
-    let mut order: Vec<usize> = (0..train.len()).collect();
-    order.shuffle(&mut Pcg64::seed_from_u64(settings.seed));
-    let mut kept = vec![false; train.len()];
-    order[..clips].iter().for_each(|&n| kept[n] = true);
-    let mut kept = kept.into_iter();
-    train.retain(|_| kept.next().unwrap_or(false));
-}
-
 pub(crate) fn corpus_name(folder: &FeatureFolder) -> String {
     let path = std::path::Path::new(&folder.manifest.corpus);
     path.file_name().map_or_else(
         || folder.manifest.corpus.clone(),
         |n| n.to_string_lossy().into_owned(),
     )
-}
-
-fn load(
-    folder: &FeatureFolder,
-    split: Split,
-    index: &(dyn Fn(Phone) -> Option<usize> + Sync),
-    say: Say,
-) -> Result<Vec<Utterance>> {
-    let (utterances, refused) = data::load(folder, split, index);
-    for line in &refused {
-        say(&format!("left out: {line}"));
-    }
-    if !refused.is_empty() {
-        say(&format!(
-            "{} clips left out, {} used",
-            refused.len(),
-            utterances.len()
-        ));
-    }
-    Ok(utterances)
 }

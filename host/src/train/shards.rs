@@ -1,65 +1,26 @@
-//! Joint EM in pieces: a start, sums of a share of the corpus, an M step from all of them. Clips are read when their turn
-//! comes, so memory does not grow with the corpus.
-use std::borrow::Cow;
+//! Joint EM in pieces: a start, sums of a share of the corpus, an M step from all of them.
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use lipstream_core::model::field::checksum;
 
+use super::data::{self, Clips};
 use super::state::State;
 use super::sums::{self, Origin};
-use super::{Say, data, em as joint};
-use crate::features::{Clip, FeatureFolder, Split};
+use super::{Say, em as joint};
+use crate::features::{FeatureFolder, Split};
 use crate::files;
 use crate::hmm::density::{self, Accumulator};
-use crate::hmm::em::{self, Source, Sums, Utterance};
-use crate::hmm::system::{Density, System};
+use crate::hmm::em::{self, Sums};
+use crate::hmm::source::Source;
+use crate::hmm::system::System;
 use crate::model::Mixtures;
 use crate::phones::Phone;
 
-/// Training clips of a folder, read one by one.
-pub struct Streamed<'a> {
-    folder: &'a FeatureFolder,
-    clips: Vec<&'a Clip>,
-    phones: &'a [Phone],
-    /// Whether sound and mouth are one observation.
-    joint: bool,
-}
-
-impl<'a> Streamed<'a> {
-    /// The clips that can be used; `say` names the others.
-    pub fn new(folder: &'a FeatureFolder, system: System, phones: &'a [Phone], say: Say) -> Self {
-        let index = |phone: Phone| phones.iter().position(|p| *p == phone);
-        let clips = folder.split(Split::Train).filter(|clip| {
-            let usable = data::usable(clip, &index);
-            if let Err(error) = &usable {
-                say(&format!("left out: {error:#}"));
-            }
-            usable.is_ok()
-        });
-        Self {
-            folder,
-            clips: clips.collect(),
-            phones,
-            joint: system.density == Density::Joint,
-        }
-    }
-}
-
-impl Source for Streamed<'_> {
-    fn len(&self) -> usize {
-        self.clips.len()
-    }
-
-    fn get(&self, n: usize) -> Result<Cow<'_, Utterance>> {
-        let index = |phone: Phone| self.phones.iter().position(|p| *p == phone);
-        let utterance = data::utterance(self.folder, self.clips[n], &index)?;
-        Ok(Cow::Owned(match self.joint {
-            true => joint::stacked(&utterance)?,
-            false => utterance,
-        }))
-    }
+/// The training clips of a folder as `system` sees them.
+pub fn clips<'a>(folder: &'a FeatureFolder, system: System, phones: &'a [Phone], say: Say) -> Clips<'a> {
+    Clips::new(folder, Split::Train, phones, say).observed(joint::observed(system))
 }
 
 /// The state before the first pass: one Gaussian a state, from the labels. `others` hold phones that the folder lacks.
@@ -72,11 +33,11 @@ pub fn start(folder: &FeatureFolder, others: &[FeatureFolder], system: System, s
     }
     let folders = std::iter::once(folder).chain(others);
     let phones = data::phones_said(folders.flat_map(|f| f.split(Split::Train)));
-    let clips = Streamed::new(folder, system, &phones, say);
+    let clips = clips(folder, system, &phones, say);
     if clips.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
-    let (parameters, audio_floors, visual_floors) = em::start_from(&clips, system.topology, &phones)?;
+    let (parameters, audio_floors, visual_floors) = em::start(&clips, system.topology, &phones)?;
     Ok(State {
         system,
         parameters,
@@ -98,9 +59,8 @@ pub fn accumulate(
     state: &State,
     (shard, of): (usize, usize),
     say: Say,
-    done: &(dyn Fn(usize) + Sync),
 ) -> Result<Sums> {
-    let clips = Streamed::new(folder, state.system, &state.parameters.phones, say);
+    let clips = clips(folder, state.system, &state.parameters.phones, say);
     let range = share(shard, of, clips.len());
     if range.is_empty() {
         say(&format!(
@@ -109,7 +69,7 @@ pub fn accumulate(
             em::chunk_range(0, 1, usize::MAX).end
         ));
     }
-    em::expect_from(&state.parameters, &clips, range, None, done)
+    em::expect_from(&state.parameters, &clips, range, None)
 }
 
 /// Says which corpus it is.
@@ -129,7 +89,7 @@ pub fn accumulate_files(
         bail!("there is no shard {shard} of {of}: they go from 1 to {of}");
     }
     let (state, checksum) = State::read(state)?;
-    let sums = accumulate(folder, &state, (shard, of), say, &|_| ())?;
+    let sums = accumulate(folder, &state, (shard, of), say)?;
     let origin = Origin {
         state: checksum,
         corpus: corpus(folder)?,

@@ -1,4 +1,5 @@
 use super::*;
+use crate::hmm::network::PhoneNetwork;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -55,11 +56,11 @@ fn likelihood_never_falls() {
         Topology::PH_VI_CHMM,
     ] {
         let (utterances, phones) = corpus();
-        let (mut parameters, audio, visual) = start(&utterances, topology, &phones);
+        let (mut parameters, audio, visual) = start(&utterances[..], topology, &phones).unwrap();
         // With the transition prior EM climbs the posterior; without data floors the likelihood dominates.
         let mut last = f64::NEG_INFINITY;
         for round in 0..8 {
-            let sums = expect(&parameters, &utterances, &|_| ());
+            let sums = expect(&parameters, &utterances[..]).unwrap();
             assert!(sums.failed.is_empty());
             assert!(
                 sums.per_frame() >= last - 1e-3,
@@ -75,10 +76,10 @@ fn likelihood_never_falls() {
 #[test]
 fn shards_add_up_to_the_whole() {
     let (utterances, phones) = corpus();
-    let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
-    let whole = expect(&parameters, &utterances, &|_| ());
-    let mut parts = expect(&parameters, &utterances[..8], &|_| ());
-    parts.merge(expect(&parameters, &utterances[8..], &|_| ()));
+    let (parameters, ..) = start(&utterances[..], Topology::PH_VI_CHMM, &phones).unwrap();
+    let whole = expect(&parameters, &utterances[..]).unwrap();
+    let mut parts = expect(&parameters, &utterances[..8]).unwrap();
+    parts.merge(expect(&parameters, &utterances[8..]).unwrap());
     assert!((whole.log_likelihood - parts.log_likelihood).abs() < 1e-9 * whole.log_likelihood.abs());
     assert!(
         (&whole.transition - &parts.transition)
@@ -95,13 +96,13 @@ fn shards_add_up_to_the_whole() {
 #[test]
 fn the_number_of_threads_changes_nothing() {
     let (utterances, phones) = corpus();
-    let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+    let (parameters, ..) = start(&utterances[..], Topology::PH_VI_CHMM, &phones).unwrap();
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .unwrap();
-        pool.install(|| expect(&parameters, &utterances, &|_| ()))
+        pool.install(|| expect(&parameters, &utterances[..]).unwrap())
     };
     let (one, three) = (run(1), run(3));
     assert_eq!(one.log_likelihood.to_bits(), three.log_likelihood.to_bits());
@@ -111,13 +112,14 @@ fn the_number_of_threads_changes_nothing() {
 #[test]
 fn alignment_finds_the_borders() {
     let (utterances, phones) = corpus();
-    let (mut parameters, audio, visual) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+    let (mut parameters, audio, visual) = start(&utterances[..], Topology::PH_VI_CHMM, &phones).unwrap();
     for _ in 0..6 {
-        let sums = expect(&parameters, &utterances, &|_| ());
+        let sums = expect(&parameters, &utterances[..]).unwrap();
         maximise(&mut parameters, &sums, &audio, visual.as_ref());
     }
-    for (utterance, path) in utterances.iter().zip(align(&parameters, &utterances)) {
-        let path = path.unwrap();
+    let aligner = Aligner::new(&parameters);
+    for utterance in &utterances {
+        let path = aligner.path(utterance).unwrap();
         assert_eq!(path.len(), utterance.audio.nrows());
         let right = path
             .iter()
@@ -134,13 +136,13 @@ fn alignment_finds_the_borders() {
 #[test]
 fn an_utterance_shorter_than_its_states_is_named() {
     let (mut utterances, phones) = corpus();
-    let (parameters, ..) = start(&utterances, Topology::PH_VI_CHMM, &phones);
+    let (parameters, ..) = start(&utterances[..], Topology::PH_VI_CHMM, &phones).unwrap();
     utterances[3].audio = utterances[3].audio.slice(ndarray::s![..7, ..]).to_owned();
     utterances[3].visual = utterances[3]
         .visual
         .as_ref()
         .map(|v| v.slice(ndarray::s![..7, ..]).to_owned());
-    let sums = expect(&parameters, &utterances, &|_| ());
+    let sums = expect(&parameters, &utterances[..]).unwrap();
     assert_eq!(sums.failed, ["u3"]);
     assert!(sums.log_likelihood.is_finite());
 }
