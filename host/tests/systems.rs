@@ -354,7 +354,6 @@ fn conversion_by_means_is_the_em_of_all_paths_and_never_less_likely() {
     }
 }
 
-/// Expected counts of one utterance over all paths: choices of every row, occupancy of every component, and their sums.
 /// With a window as long as the utterance and no exponent on the mouth, the last sweep is one EM step over all paths, from what
 /// the sweeps before it and the last frame's sound have left.
 #[test]
@@ -405,6 +404,7 @@ fn live_feedback_ends_in_a_step_over_all_paths() {
     }
 }
 
+/// Expected counts of one utterance over all paths: choices of every row, occupancy of every component, and their sums.
 #[test]
 fn re_estimates_are_those_of_all_paths() {
     // One phone of five states in nine frames; then what EM says it saw.

@@ -113,6 +113,18 @@ impl Start {
         }
     }
 
+    /// Adds all utterances by their start labels.
+    pub fn add_all<S: Source + ?Sized>(&mut self, utterances: &S) -> Result<()> {
+        in_order(
+            utterances.len(),
+            |n| utterances.get(n),
+            |utterance| {
+                self.add(&utterance, &utterance.start);
+                Ok(())
+            },
+        )
+    }
+
     /// States without data get the pooled mean and variance. Floors are 1 % of the pooled variances.
     pub fn finish(self) -> (Parameters, Floors, Option<Floors>) {
         let from = |sums: &Accumulator| {
@@ -152,14 +164,7 @@ pub fn start<S: Source + ?Sized>(
         first.visual.as_ref().map_or(0, |v| v.ncols()),
     );
     let mut sums = Start::new(topology, phones, sizes);
-    in_order(
-        utterances.len(),
-        |n| utterances.get(n),
-        |utterance| {
-            sums.add(&utterance, &utterance.start);
-            Ok(())
-        },
-    )?;
+    sums.add_all(utterances)?;
     Ok(sums.finish())
 }
 

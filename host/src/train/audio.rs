@@ -7,7 +7,6 @@ use super::data::{Clips, Observed};
 use super::em::{Aligned, Coupled, passes, split_audio};
 use super::{Say, Settings};
 use crate::hmm::em::{Parameters, Start};
-use crate::hmm::source::{Source, in_order};
 use crate::hmm::system::Density;
 use crate::hmm::topology::VisualAtom;
 use crate::model::{Mixtures, N_EMITTING};
@@ -94,14 +93,7 @@ pub(super) fn all_speakers<'a>(
     heard: &Clips<'a>,
 ) -> Result<(Start, Clips<'a>)> {
     let mut start = aligned.sound;
-    in_order(
-        heard.len(),
-        |n| heard.get(n),
-        |utterance| {
-            start.add(&utterance, &utterance.start);
-            Ok(())
-        },
-    )?;
+    start.add_all(heard)?;
     let mut all = train.observed(Observed::Sound);
     all.keep(&aligned.fits);
     all.extend(heard);

@@ -8,7 +8,7 @@ use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 use super::bigram::{self, Said};
-use super::data::{Clips, Observed};
+use super::data::{Clips, Observed, stacked};
 use super::state::State;
 use super::{Say, Settings};
 use crate::hmm::density::{self, Floors};
@@ -106,9 +106,16 @@ fn align(parameters: &Parameters, train: &Clips, observed: Observed, audio_size:
         said: Said::none(parameters.phones.len()),
         sound: em::Start::new(Topology::PH_HMM, &parameters.phones, (audio_size, 0)),
     };
-    let (whole, sound) = (train.observed(observed), train.observed(Observed::Sound));
     let aligner = Aligner::new(parameters);
-    let work = |n: usize| Ok((sound.get(n)?, aligner.path(&*whole.get(n)?)));
+    let work = |n: usize| {
+        let mut utterance = train.get(n)?.into_owned();
+        let path = match observed {
+            Observed::Stacked => aligner.path(&stacked(utterance.clone())?),
+            Observed::Apart | Observed::Sound => aligner.path(&utterance),
+        };
+        utterance.visual = None;
+        Ok((utterance, path))
+    };
     in_order(train.len(), work, |(heard, path)| {
         aligned.fits.push(path.is_some());
         let Some(path) = path else { return Ok(()) };
