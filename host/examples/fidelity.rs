@@ -1,5 +1,5 @@
-//! What the device costs a model trained by minimum generation error, step by step: tables of few bits (weights only, in floats),
-//! integers, beam, bounds on the work of a frame; and what a cold start in mid-clip costs.
+//! What the device costs a model trained by minimum generation error, step by step: sums of probabilities by its table (in floats),
+//! tables of few bits (weights only, in floats), integers, beam, bounds on the work of a frame; and what a cold start in mid-clip costs.
 //!
 //!     cargo run --release -p lipstream --example fidelity -- FOLDER MGE.safetensors [train|val|test]
 use std::path::PathBuf;
@@ -12,6 +12,7 @@ use lipstream::evaluate::truths;
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::features::{FeatureFolder, Split};
 use lipstream::mge::live;
+use lipstream::mge::log_sums::Sums;
 use lipstream::mge::model::MgeModel;
 use lipstream::mge::rounding::rounded;
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
@@ -45,6 +46,14 @@ fn main() -> Result<()> {
         println!("{name}: AMSE {:.1}, ACC {:.4}", score.amse(), score.acc());
     };
     show("floats", score(&model, 0, false));
+    for sums in [Sums::Exact, Sums::Table] {
+        let mut score = Score::new(model.deviation.len());
+        for clip in &clips {
+            let said = live::convert_with_sums(&model, clip.audio.view(), sums).parameters;
+            score.add(&clip.visual, &said);
+        }
+        show(&format!("logs of 12 bits, {sums:?} sums"), score);
+    }
     for bits in [8, 7, 6, 5, 4] {
         show(&format!("{bits} bits"), score(&rounded(&model, bits), 0, false));
     }

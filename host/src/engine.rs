@@ -11,10 +11,12 @@ use ndarray::{Array2, Axis};
 
 use crate::export::{ExportSettings, MgeSettings, export, export_mge};
 use crate::files;
-use crate::hmm::convert::{Lag, convert};
+use crate::hmm::Hmm;
+use crate::hmm::convert::{Follower, Lag, convert, smooth, viseme_weights};
+use crate::hmm::inversion::Inverter;
 use crate::mge::live;
 use crate::mge::model::MgeModel;
-use crate::model::Model;
+use crate::model::{EmSettings, Model};
 use crate::phones::VISEMES;
 use crate::reference::{self, Normalisation};
 use crate::tensors::Tensors;
@@ -35,6 +37,8 @@ pub struct RunSettings {
     pub lag: Option<u16>,
     /// Width of the beam; `fixed` only.
     pub beam_bits: Option<f64>,
+    /// The mouth by EM inside the lag window, with this exponent on its likelihood; the maps' where none is given.
+    pub feedback: Option<f64>,
     /// How much of the future may be waited for; all that the model can use where none is given.
     pub profile: Option<Profile>,
 }
@@ -72,7 +76,11 @@ impl Engine {
             }
             Kind::Fixed => {
                 let model = Model::read(path)?;
-                Ok(Self::Fixed(export(&model, &ExportSettings::of(&model))?.bytes))
+                let with = ExportSettings {
+                    visual_densities: true,
+                    ..ExportSettings::of(&model)
+                };
+                Ok(Self::Fixed(export(&model, &with)?.bytes))
             }
             Kind::Float if is_tables => bail!(
                 "{} holds the device's tables; `--engine float` needs the model they were exported from",
@@ -94,7 +102,15 @@ impl Engine {
     /// Converts 16 kHz mono samples.
     pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
         match self {
-            Self::Fixed(tables) => stream(&Tables::new_checked(tables)?, samples, core_settings(with)?),
+            Self::Fixed(tables) => {
+                let tables = Tables::new_checked(tables)?;
+                ensure!(
+                    with.feedback.is_none() || tables.has_visual_densities(),
+                    "the tables have no visual densities to re-estimate the mouth with: give the model that they were exported \
+                     from, or export it with --visual-densities"
+                );
+                stream(&tables, samples, core_settings(with)?)
+            }
             Self::Float(model) => {
                 ensure!(
                     with.beam_bits.is_none(),
@@ -107,13 +123,17 @@ impl Engine {
                 let start_mean = std::array::from_fn(|i| model.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 let lag = with.lag.map_or(model.following.lag, usize::from);
+                if let Some(exponent) = with.feedback {
+                    return live_em(model, &observations, lag, exponent);
+                }
                 let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
                 Ok(Converted { parameters, visemes })
             }
             Self::Mge(model) => {
                 ensure!(
-                    with.beam_bits.is_none() && with.lag.is_none(),
-                    "a model trained on the error of its mouth has neither beam nor lag in floats: leave --beam and --lag out"
+                    with.beam_bits.is_none() && with.lag.is_none() && with.feedback.is_none(),
+                    "a model trained on the error of its mouth has neither beam, lag nor EM in floats: leave --beam, --lag and \
+                     --feedback out"
                 );
                 let start_mean = std::array::from_fn(|i| model.twin.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
@@ -127,6 +147,22 @@ impl Engine {
             }
         }
     }
+}
+
+/// The paper's EM inside a window of `lag` frames, in floats.
+fn live_em(model: &Model, observations: &Array2<f32>, lag: usize, exponent: f64) -> Result<Converted> {
+    let hmm = Hmm::of_model(model);
+    let settings = EmSettings {
+        acoustic_scale: model.following.acoustic_scale,
+        visual_exponent: exponent as f32,
+        ..EmSettings::default()
+    };
+    let said = Inverter::new(hmm).convert_live(observations, &settings, lag)?;
+    let (_, visual) = Follower::of_model(model).occupancies(observations, Lag::Frames(lag))?;
+    Ok(Converted {
+        parameters: smooth(&said),
+        visemes: viseme_weights(model, &visual),
+    })
 }
 
 /// Settings for the core, refused in words where it would hold them to its limits.
@@ -146,8 +182,17 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
         );
         Ok(LogProb::from_q12(q12 as i32))
     });
+    let feedback = with.feedback.map(|exponent| {
+        let q16 = exponent * 65536.0;
+        ensure!(
+            (0.0..=f64::from(limit::ACOUSTIC_SCALE)).contains(&q16),
+            "an exponent of {exponent} is out of range: 0 to 4"
+        );
+        Ok(q16.round() as u32)
+    });
     let own = with.profile.map_or(Settings::default(), Settings::of);
     Ok(Settings {
+        feedback: feedback.transpose()?,
         lag: with.lag.or(own.lag),
         beam: beam.transpose()?,
         ..own

@@ -1,7 +1,9 @@
 //! The fixed-point converter against the f64 twin, on random models and the speech that they would speak.
 use lipstream::export::{Export, ExportSettings, export};
-use lipstream::hmm::convert::{Lag, convert};
-use lipstream::model::Model as FloatModel;
+use lipstream::hmm::Hmm;
+use lipstream::hmm::convert::{Lag, convert, smooth};
+use lipstream::hmm::inversion::Inverter;
+use lipstream::model::{EmSettings, Mixtures, Model as FloatModel};
 use lipstream::reference::hmm::{Coupled, log_emissions};
 use lipstream::synthetic::{Sizes, model, speech};
 use lipstream_core::hmm::converter::{Converter, Settings};
@@ -11,7 +13,7 @@ use lipstream_core::logmath::LogProb;
 use lipstream_core::model::Model;
 use lipstream_core::parameters::ParameterFrame;
 use lipstream_core::{N_OBSERVATION, N_STATIC};
-use ndarray::{Array2, ArrayView1};
+use ndarray::{Array2, Array3, ArrayView1};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
@@ -296,45 +298,133 @@ fn parameters_are_those_of_the_float_conversion() {
     }
 }
 
+/// The mouth by EM inside the lag window, in units of its standard deviation over the clip.
+#[test]
+fn live_feedback_is_the_twins() {
+    let mut rng = Pcg64::seed_from_u64(11);
+    for (exponent, lag) in [(0.0f32, 4u16), (0.05, 4), (0.5, 2), (1.0, 4), (1.0, 0)] {
+        let mut float = model(&Sizes::small(), 2.0, &mut rng);
+        float.following.acoustic_scale = 0.3;
+        float.visual = two_densities(&float.visual);
+        let bytes = with_visual_densities(&float);
+        let tables = Model::new_checked(&bytes).unwrap();
+        let observations = speech(&float, 120, 3, &mut rng);
+        let em = EmSettings {
+            acoustic_scale: 0.3,
+            visual_exponent: exponent,
+            ..EmSettings::default()
+        };
+        let inverter = Inverter::new(Hmm::of_model(&float));
+        let twin = smooth(
+            &inverter
+                .convert_live(&observations, &em, usize::from(lag))
+                .unwrap(),
+        );
+        let settings = Settings {
+            lag: Some(lag),
+            beam: Some(NO_BEAM),
+            feedback: Some((exponent * 65536.0) as u32),
+            ..Settings::default()
+        };
+        let (frames, delay) = converted::<1872, 9>(&tables, settings, &observations);
+        assert_eq!(delay, usize::from(lag) + 5);
+        let fixed = real(&tables, &frames);
+        for d in 0..5 {
+            let want = twin.column(d).mapv(f64::from);
+            let deviation = want.std(0.0);
+            let error = &fixed.column(d) - &want;
+            let mut off: Vec<f64> = error.iter().map(|e| e.abs() / deviation).collect();
+            off.sort_by(f64::total_cmp);
+            let (most, worst) = (off[off.len() * 9 / 10], off[off.len() - 1]);
+            println!(
+                "exponent {exponent} lag {lag} parameter {d}: 90 % within {most:.4}, worst {worst:.4} deviations"
+            );
+            // At full weight the mouth holds on to what it has begun with: in floats too a change of the means by one
+            // hundredth of their spread moves some frames by a third of a deviation.
+            let bound = if exponent < 1.0 { 0.7 } else { 3.0 };
+            assert!(most < 0.1, "parameter {d}: {most} deviations off");
+            assert!(worst < bound, "parameter {d}: {worst} deviations off");
+        }
+        // Without visual densities in the tables the maps speak.
+        let plain = exported(&float).bytes;
+        let plain = Model::new_checked(&plain).unwrap();
+        let deaf = Settings {
+            feedback: None,
+            ..settings
+        };
+        assert_eq!(
+            converted::<384, 9>(&plain, settings, &observations).0,
+            converted::<384, 9>(&tables, deaf, &observations).0
+        );
+    }
+}
+
+/// Every density as two of unequal weight, a deviation apart.
+fn two_densities(single: &Mixtures) -> Mixtures {
+    let (states, _, size) = single.mean.dim();
+    let (weights, shifts) = ([0.3f32, 0.7], [-0.7f32, 0.3]);
+    Mixtures {
+        mean: Array3::from_shape_fn((states, 2, size), |(s, k, d)| {
+            single.mean[[s, 0, d]] + shifts[(k + d) % 2] * single.variance[[s, 0, d]].sqrt()
+        }),
+        variance: Array3::from_shape_fn((states, 2, size), |(s, k, d)| {
+            single.variance[[s, 0, d]] * (0.6 + 0.4 * k as f32)
+        }),
+        log_weight: Array2::from_shape_fn((states, 2), |(_, k)| weights[k].ln()),
+    }
+}
+
+fn with_visual_densities(model: &FloatModel) -> Vec<u8> {
+    let with = ExportSettings {
+        visual_densities: true,
+        ..ExportSettings::of(model)
+    };
+    export(model, &with).unwrap().bytes
+}
+
 #[test]
 fn a_reset_converter_is_a_new_one() {
     let mut rng = Pcg64::seed_from_u64(7);
     let float = model(&Sizes::small(), 2.0, &mut rng);
-    let bytes = exported(&float).bytes;
+    let bytes = with_visual_densities(&float);
     let tables = Model::new_checked(&bytes).unwrap();
     let (first, second) = (speech(&float, 70, 3, &mut rng), speech(&float, 50, 2, &mut rng));
-    let mut converter = Box::new(Converter::<384, 9>::new(&tables, Settings::default()));
-    run(&mut converter, &first);
-    converter.reset();
-    let again = run(&mut converter, &second);
-    assert_eq!(
-        again,
-        converted::<384, 9>(&tables, Settings::default(), &second).0
-    );
-    // Cut off in the middle.
-    converter.reset();
-    let row = q8(first.row(0));
-    let statics: [i16; N_STATIC] = std::array::from_fn(|i| row[i]);
-    for _ in 0..20 {
-        converter.push(Some(&statics), Some(&row));
+    for feedback in [None, Some(1 << 14)] {
+        let settings = Settings {
+            feedback,
+            ..Settings::default()
+        };
+        let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
+        run(&mut converter, &first);
+        converter.reset();
+        let again = run(&mut converter, &second);
+        assert_eq!(again, converted::<384, 9>(&tables, settings, &second).0);
+        // Cut off in the middle.
+        converter.reset();
+        let row = q8(first.row(0));
+        let statics: [i16; N_STATIC] = std::array::from_fn(|i| row[i]);
+        for _ in 0..20 {
+            converter.push(Some(&statics), Some(&row));
+        }
+        converter.reset();
+        assert_eq!(run(&mut converter, &second), again);
     }
-    converter.reset();
-    assert_eq!(run(&mut converter, &second), again);
 }
 
 #[test]
 fn utterances_of_every_short_length_give_every_frame() {
     let mut rng = Pcg64::seed_from_u64(8);
     let float = model(&Sizes::small(), 2.0, &mut rng);
-    let bytes = exported(&float).bytes;
+    let bytes = with_visual_densities(&float);
     let tables = Model::new_checked(&bytes).unwrap();
     for n in 0..24 {
         let observations = speech(&float, n, 3, &mut rng);
         for lag in [0, 3, 8] {
-            for average in [false, true] {
+            for (average, feedback) in [(false, None), (true, None), (true, Some(1 << 12))] {
                 let settings = Settings {
                     lag: Some(lag),
                     average: Some(average),
+                    feedback,
                     ..Settings::default()
                 };
                 assert_eq!(converted::<384, 9>(&tables, settings, &observations).0.len(), n);

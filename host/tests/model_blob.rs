@@ -13,10 +13,13 @@ use rand_pcg::Pcg64;
 
 fn tables(seed: u64) -> Vec<u8> {
     let float = model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(seed));
-    export(&float, &ExportSettings::of(&float)).unwrap().bytes
+    let with = ExportSettings {
+        visual_densities: true,
+        ..ExportSettings::of(&float)
+    };
+    export(&float, &with).unwrap().bytes
 }
 
-/// Makes the checksum right again.
 /// Puts `value` at `at` of a section, seals, and gives what the check says.
 fn with(bytes: &[u8], of: Section, at: usize, value: &[u8]) -> Result<(), ModelError> {
     let mut bytes = bytes.to_vec();
@@ -45,6 +48,7 @@ fn what_was_exported_is_read() {
         beam_bits: 12.5,
         acoustic_scale: 0.25,
         average: false,
+        visual_densities: true,
     };
     let bytes = export(&float, &with).unwrap().bytes;
     let tables = Model::new_checked(&bytes).unwrap();
@@ -77,6 +81,7 @@ fn what_was_exported_is_read() {
     for (have, want) in tables.start_mean().iter().zip(&float.start_mean) {
         assert!((f32::from(*have) / 256.0 - want).abs() <= 0.5 / 256.0);
     }
+    let visual = float.visual.mean.dim().1;
     // The full set of indices and some beyond: nothing panics.
     for index in 0..1000 {
         let _ = (
@@ -86,6 +91,14 @@ fn what_was_exported_is_read() {
         );
         assert_eq!(tables.mixture(index).count(), if index < 45 { 2 } else { 0 });
         assert_eq!(tables.state_map(index).count(), if index < 65 { 5 } else { 0 });
+        assert_eq!(
+            tables.visual_mixture(index).count(),
+            if index < 65 { visual } else { 0 }
+        );
+        assert_eq!(
+            tables.visual_centre(index).iter().count(),
+            if index < 65 { 5 } else { 0 }
+        );
     }
 }
 
@@ -164,6 +177,9 @@ fn numbers_out_of_range_are_refused() {
         (GlobalBias, 0, (limit::OFFSET + 1).to_le_bytes().to_vec()),
         (DensityConstants, 0, i32::MAX.to_le_bytes().to_vec()),
         (ObservationGain, 8, u32::MAX.to_le_bytes().to_vec()),
+        (ParameterGain, 8, u32::MAX.to_le_bytes().to_vec()),
+        (ParameterGain, 0, 0u32.to_le_bytes().to_vec()),
+        (VisualDensityConstants, 4, i32::MAX.to_le_bytes().to_vec()),
         (ParameterScale, 0, f32::NAN.to_le_bytes().to_vec()),
         (ParameterScale, 0, (-1.0f32).to_le_bytes().to_vec()),
         (ParameterScale, 4, 0f32.to_le_bytes().to_vec()),
@@ -176,6 +192,11 @@ fn numbers_out_of_range_are_refused() {
             u32::MAX.to_le_bytes().to_vec(),
         ),
         (Settings, settings::DISTANCE_GAIN, u32::MAX.to_le_bytes().to_vec()),
+        (
+            Settings,
+            settings::VISUAL_DISTANCE_GAIN,
+            u32::MAX.to_le_bytes().to_vec(),
+        ),
     ];
     for (of, at, value) in refused {
         let said = with(&good, of, at, &value);
@@ -203,8 +224,11 @@ fn sizes_that_do_not_fit_are_refused() {
         (shape::TAPS, Size::Taps),
         (shape::INPUTS, Size::Inputs),
         (shape::PARAMETERS, Size::Parameters),
+        (shape::VISUAL_DENSITIES, Size::VisualDensities),
     ] {
-        for value in [0u16, 97, u16::MAX] {
+        // Tables may be without visual densities, but then not with their sections.
+        let least = usize::from(size == Size::VisualDensities);
+        for value in &[0u16, 97, u16::MAX][least..] {
             let said = with(&good, Section::Shape, at, &value.to_le_bytes());
             assert!(
                 matches!(said, Err(ModelError::Shape { size: s, .. }) if s == size),

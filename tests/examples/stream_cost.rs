@@ -1,6 +1,6 @@
 //! Counts the instructions of a whole stream, sound to parameters, on a Cortex-M target in QEMU's mps2-an386 with
-//! `-icount shift=6,align=off,sleep=off`. Reads `model.tables` and `sound.raw` (i16 little-endian, 16 kHz) in the folder where it
-//! runs; prints lines of a name and a number.
+//! `-icount shift=6,align=off,sleep=off`. Reads `model.tables`, `sound.raw` (i16 little-endian, 16 kHz) and, where the mouth is to be
+//! re-estimated, `feedback.raw` (the exponent, u32, Q16.16) in the folder where it runs; prints lines of a name and a number.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
 /// On the host there is nothing to count.
@@ -117,7 +117,16 @@ mod target {
             fail("model.tables is no model that this core can run")
         };
         let model: &Model = view.write(model);
-        let stream = place.write(Stream::new(model, Settings::default()));
+        let feedback = File::open(c"feedback.raw").ok().map(|mut file| {
+            let mut exponent = [0; 4];
+            read_all(&mut file, &mut exponent);
+            u32::from_le_bytes(exponent)
+        });
+        let settings = Settings {
+            feedback,
+            ..Settings::default()
+        };
+        let stream = place.write(Stream::new(model, settings));
         let mut frontend = FrontEnd::new(Config {
             start_mean: model.start_mean(),
             normalise: true,

@@ -8,10 +8,20 @@ use lipstream_core::stream::{Settings, Stream};
 
 use crate::random::Random;
 
-/// Tables of `lipstream::synthetic` with `Sizes::small`.
+/// Tables of `lipstream::synthetic` with `Sizes::small`, visual densities too.
 pub static TABLES: &[u8] = include_bytes!("../vectors/model/small.tables");
 /// Every frame of [`Sound`], each written by [`write`].
 pub static FRAMES: &[u8] = include_bytes!("../vectors/stream/small.frames");
+/// The same with the mouth re-estimated inside the lag window, see [`with_feedback`].
+pub static FEEDBACK_FRAMES: &[u8] = include_bytes!("../vectors/stream/feedback.frames");
+
+/// EM inside the lag window, exponent 1/4.
+pub fn with_feedback() -> Settings {
+    Settings {
+        feedback: Some(1 << 14),
+        ..Settings::default()
+    }
+}
 
 /// Samples of the sound: 1.2 s.
 pub const SOUND_LENGTH: usize = 19_200;
@@ -101,9 +111,13 @@ pub fn run(
     }
 }
 
-/// Checks that `sound` gives the frames of the vector.
+/// Checks that [`Sound`] gives the frames of the vector.
 fn check(stream: &mut Stream, cut: usize) {
-    let mut expected = FRAMES.iter();
+    check_against(FRAMES, stream, cut);
+}
+
+fn check_against(frames: &[u8], stream: &mut Stream, cut: usize) {
+    let mut expected = frames.iter();
     run(stream, Sound::new(), cut, |frame| {
         write(frame, |byte| {
             let want = expected.next();
@@ -116,6 +130,14 @@ fn check(stream: &mut Stream, cut: usize) {
 pub fn same_bytes_everywhere() {
     let model = Model::new_checked(TABLES).expect("the vector is a model");
     check(&mut Stream::new(&model, Settings::default()), 160);
+}
+
+pub fn feedback_gives_the_same_bytes_everywhere() {
+    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let mut stream = Stream::new(&model, with_feedback());
+    check_against(FEEDBACK_FRAMES, &mut stream, 160);
+    // Once more on the same stream, cut otherwise.
+    check_against(FEEDBACK_FRAMES, &mut stream, 399);
 }
 
 pub fn cuts_do_not_matter() {

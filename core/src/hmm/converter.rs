@@ -4,7 +4,7 @@
 //! come [`DELTA_HOPS`] hops after their statics. The moving average over frames t − 1, t, t + 1 (X&L section 6; at the
 //! ends of an utterance over those that exist) costs one hop more. See [`Converter::delay_hops`].
 use super::follower::Follower;
-use super::gates::Gates;
+use super::gates::{Gates, viseme_weights};
 use super::local_linear::{History, apply};
 use crate::fixed::saturate_i16;
 use crate::logmath::LogProb;
@@ -12,7 +12,7 @@ use crate::mge::context::{Means, project};
 use crate::mge::memory::Memory;
 use crate::mge::occupancy::Occupancy;
 use crate::model::Model;
-use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
+use crate::model::field::limit;
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
 use crate::wire::Profile;
 use crate::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC};
@@ -38,8 +38,13 @@ pub struct Settings {
     /// Active joint states, at most; held to the stream's room. With [`Settings::phones`] it bounds the work of the worst
     /// frame.
     pub most: Option<u16>,
-    /// Phones whose states a model with a memory evaluates in one frame, at most and at least one.
+    /// Phones whose states a model with a memory evaluates in one frame, at most and at least one. It bites only in frames that
+    /// reach more than 416 joint states, as many as a first frame of 32 phones has.
     pub phones: Option<u16>,
+    /// The mouth by the paper's EM in place of the maps (see [`crate::hmm::feedback`]): exponent of the visual likelihood, Q16.16,
+    /// held to 4; 0 is EM without feedback. Models without visual densities keep their way. The lag is held to the
+    /// window's room less one frame.
+    pub feedback: Option<u32>,
 }
 
 impl Settings {
@@ -53,6 +58,7 @@ impl Settings {
             look_ahead: None,
             most: None,
             phones: None,
+            feedback: None,
         };
         match profile {
             // 30 ms and half a window; without a memory the least delay that observations with ΔΔ and the maps allow.
@@ -98,15 +104,22 @@ struct Run {
     average: bool,
     beam: LogProb,
     acoustic_scale: u32,
+    /// Exponent of the mouth's likelihood where it feeds back.
+    feedback: Option<u32>,
 }
 
 impl Run {
     fn of<const FRAMES: usize>(model: &Model, settings: &Settings) -> Self {
         let lag = settings.lag.map_or(model.lag(), usize::from);
         let own = model.look_ahead();
+        let feedback = settings.feedback.filter(|_| model.has_visual_densities());
+        // α of the frame before the window is kept for the sweep.
+        let room = FRAMES.saturating_sub(1 + usize::from(feedback.is_some()));
         Self {
-            lag: lag.min(FRAMES.saturating_sub(1)),
+            lag: lag.min(room),
+            feedback: feedback.map(|exponent| exponent.min(limit::ACOUSTIC_SCALE)),
             ahead: match settings.look_ahead {
+                _ if feedback.is_some() => 0,
                 Some(hops) if model.is_recurrent() => usize::from(hops).min(own),
                 _ => own,
             },
@@ -232,9 +245,16 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         }
         if let Some(observation) = observation {
             self.follower.follow(observation);
+            if let Some(exponent) = self.run.feedback {
+                self.follower.sweep(self.run.lag, exponent);
+            }
         }
-        self.gate();
-        self.map();
+        if self.run.feedback.is_some() {
+            self.leave_window();
+        } else {
+            self.gate();
+            self.map();
+        }
         self.give()
     }
 
@@ -303,14 +323,35 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         self.ended && self.given == self.history.count()
     }
 
-    /// Occupancies of the next frame, once its lag has come or the sound has ended.
-    fn gate(&mut self) {
+    /// How many frames before the newest the next one is whose states are to be settled, once its lag has come or the sound
+    /// has ended.
+    fn settled(&self) -> Option<usize> {
         let known = self.follower.count().wrapping_sub(self.gated) as usize;
         let all = self.ended && self.follower.count() == self.history.count();
-        if known == 0 || (known <= self.run.lag && !all) || self.waiting.is_full() {
+        known.checked_sub(1).filter(|age| all || *age >= self.run.lag)
+    }
+
+    /// The next frame's mouth as the last sweep has left it.
+    fn leave_window(&mut self) {
+        let Some(age) = self.settled().filter(|_| !self.mapped_frames.is_full()) else {
             return;
+        };
+        if let Some(seen) = self.follower.seen(age) {
+            let values = seen.mouth.iter().take(self.model.n_parameters());
+            let frame = (values.copied().collect(), seen.viseme_weights);
+            // There is room, as has been checked.
+            let _ = self.mapped_frames.push_back(frame);
         }
-        let occupancy = self.follower.occupancies(known - 1);
+        self.gated = self.gated.wrapping_add(1);
+        self.mapped = self.mapped.wrapping_add(1);
+    }
+
+    /// Occupancies of the next frame.
+    fn gate(&mut self) {
+        let Some(age) = self.settled().filter(|_| !self.waiting.is_full()) else {
+            return;
+        };
+        let occupancy = self.follower.occupancies(age);
         // There is room, as has been checked.
         let _ = self.waiting.push_back(Gated {
             gates: Gates::choose(&occupancy),
@@ -378,15 +419,4 @@ fn mean(value: i32, before: Option<i32>, after: Option<i32>) -> i16 {
         _ => (sum + 1) >> 1,
     };
     saturate_i16(mean)
-}
-
-/// Occupancies of the visemes from those of their states (Q0.16), 255 = 1.
-fn viseme_weights(occupancy: &[u32; N_VISUAL_STATES]) -> [u8; N_VISEMES] {
-    let mut weights = [0; N_VISEMES];
-    for (to, states) in weights.iter_mut().zip(occupancy.as_chunks::<N_EMITTING>().0) {
-        // At most 2¹⁶ + 5, times 255.
-        let sum: u32 = states.iter().sum();
-        *to = ((sum * 255 + (1 << 15)) >> 16).min(255) as u8;
-    }
-    weights
 }

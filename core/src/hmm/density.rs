@@ -25,43 +25,60 @@ impl Scaled {
             .zip(observation)
             .zip(model.observation_scaling())
         {
-            // 17 bits · 30 bits.
-            let product = (i64::from(*from) - i64::from(centre)) * i64::from(gain);
-            let limit = i64::from(OBSERVATION_LIMIT);
-            *to = ((product + (1 << 15)) >> 16).clamp(-limit, limit) as i16;
+            *to = place(*from, centre, gain);
         }
         Self(scaled)
     }
+}
 
-    /// Σ ((o − μ)/σ)² in units of the model's distance gain; below 2³⁰ whatever the tables hold.
-    #[inline]
-    fn distance(&self, mean: &[u8; N_OBSERVATION], inverse_deviation: &[u8; N_OBSERVATION]) -> u32 {
-        let mut sum = 0;
-        for ((o, m), w) in self.0.iter().zip(mean).zip(inverse_deviation) {
-            // |o − 16m| ≤ 10239; times 255 < 2²²; shifted ≤ 5100; squared < 2²⁵; 39 of them < 2³⁰.
-            let difference = i32::from(*o) - (i32::from(*m as i8) << MEAN_SHIFT);
-            let z = (difference * i32::from(*w)) >> DISTANCE_SHIFT;
-            sum += (z * z) as u32;
-        }
-        sum
+/// A number centred and scaled: sixteenths of a mean step, ±8191.
+#[inline(always)]
+pub(super) fn place(value: i16, centre: i16, gain: u32) -> i16 {
+    // 17 bits · 30 bits.
+    let product = (i64::from(value) - i64::from(centre)) * i64::from(gain);
+    let limit = i64::from(OBSERVATION_LIMIT);
+    ((product + (1 << 15)) >> 16).clamp(-limit, limit) as i16
+}
+
+/// Σ ((o − μ)/σ)² over at most 64 numbers in units of the distance gain; below 2³¹ whatever the tables hold.
+#[inline(always)]
+pub(super) fn squared_distance(placed: &[i16], mean: &[u8], inverse_deviation: &[u8]) -> u32 {
+    let mut sum = 0;
+    for ((o, m), w) in placed.iter().zip(mean).zip(inverse_deviation) {
+        // |o − 16m| ≤ 10239; times 255 < 2²²; shifted ≤ 5100; squared < 1.6·2²⁴; 64 of them < 2³¹.
+        let difference = i32::from(*o) - (i32::from(*m as i8) << MEAN_SHIFT);
+        let z = (difference * i32::from(*w)) >> DISTANCE_SHIFT;
+        sum += (z * z) as u32;
     }
+    sum
+}
+
+/// Log of weight times likelihood from a density's constant and squared distance.
+#[inline(always)]
+pub(super) fn log_of(constant: LogProb, distance: u32, gain: u32) -> LogProb {
+    // Below 2³¹ · 2²⁸ = 2⁵⁹.
+    let exponent = ((u64::from(distance) * u64::from(gain)) >> 20) as i64;
+    LogProb::from_q12((i64::from(constant.q12()) - exponent).max(-LIMIT) as i32)
+}
+
+/// A likelihood to the power of `exponent` (Q16.16, at most 4).
+#[inline(always)]
+pub(super) fn powered(log: LogProb, exponent: u32) -> LogProb {
+    // |log| ≤ 2²⁷ + 5 bits; a state without a density keeps NEVER = −2²⁹ and is held to −2²⁷.
+    let powered = (i64::from(log.q12()) * i64::from(exponent)) >> 16;
+    LogProb::from_q12(saturate_i32(powered.clamp(-LIMIT, LIMIT)))
 }
 
 /// Log likelihood of an observation in audio state 5·phone + i, to the power of `acoustic_scale` (Q16.16).
 pub fn log_likelihood(model: &Model, state: usize, scaled: &Scaled, acoustic_scale: u32) -> LogProb {
-    let gain = u64::from(model.distance_gain());
+    let gain = model.distance_gain();
     let mut sum = LogProb::NEVER;
     for density in model.mixture(state) {
         let Some(constant) = density.constant else {
             continue;
         };
-        let distance = scaled.distance(density.mean, density.inverse_deviation);
-        // Below 2³⁰ · 2²⁸ = 2⁵⁸.
-        let exponent = ((u64::from(distance) * gain) >> 20) as i64;
-        let log = (i64::from(constant.q12()) - exponent).max(-LIMIT);
-        sum = sum.plus(LogProb::from_q12(log as i32));
+        let distance = squared_distance(&scaled.0, density.mean, density.inverse_deviation);
+        sum = sum.plus(log_of(constant, distance, gain));
     }
-    // |sum| ≤ 2²⁷ + 5 bits; a state without a density keeps NEVER = −2²⁹ and is held to −2²⁷.
-    let powered = (i64::from(sum.q12()) * i64::from(acoustic_scale)) >> 16;
-    LogProb::from_q12(saturate_i32(powered.clamp(-LIMIT, LIMIT)))
+    powered(sum, acoustic_scale)
 }

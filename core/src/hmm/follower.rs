@@ -6,6 +6,7 @@
 //! Should the beam let no arc through at all, the best token stays where it is.
 use super::beam::{Door, prune};
 use super::density::{Scaled, log_likelihood};
+use super::feedback::Seen;
 use super::lag::{Frame, MAX_AUDIO_STATES, Window};
 use super::token::{PhonesByViseme, Scores, Token, begin, begin_anywhere, forward};
 use super::transition::N_PAIRS;
@@ -114,6 +115,18 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
     pub fn occupancies(&mut self, age: usize) -> [u32; N_VISUAL_STATES] {
         self.window
             .occupancies(self.model, &self.phones, self.beam, age, &mut self.scores)
+    }
+
+    /// One sweep of re-estimation of the mouth over the newest frame and the `lag` before it, see [`super::feedback`].
+    pub fn sweep(&mut self, lag: usize, exponent: u32) {
+        let (model, scores) = (self.model, &mut self.scores);
+        self.window
+            .sweep(model, &self.phones, self.beam, lag, exponent, scores);
+    }
+
+    /// What the last sweep has found `age` frames before the newest; `age` is held to the window.
+    pub fn seen(&self, age: usize) -> Option<&Seen> {
+        self.window.seen(age)
     }
 
     /// One observation of the front end, Q7.8.

@@ -1,6 +1,8 @@
 //! Occupancies as numbers, and the states that speak in a frame: the [`N_GATES`] largest of those that reach
 //! [`LEAST_OCCUPANCY`], scaled to sum 1.
 use crate::logmath::LINEAR_FRACTION_BITS;
+use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
+use crate::parameters::N_VISEMES;
 
 /// States of a chain that take part in one frame, at most.
 pub const N_GATES: usize = 6;
@@ -55,11 +57,21 @@ impl Gates {
     }
 }
 
+/// Occupancies of the visemes from those of their states (Q0.16), 255 = 1.
+pub fn viseme_weights(occupancy: &[u32; N_VISUAL_STATES]) -> [u8; N_VISEMES] {
+    let mut weights = [0; N_VISEMES];
+    for (to, states) in weights.iter_mut().zip(occupancy.as_chunks::<N_EMITTING>().0) {
+        // At most 2¹⁶ + 5, times 255.
+        let sum: u32 = states.iter().sum();
+        *to = ((sum * 255 + (1 << 15)) >> 16).min(255) as u8;
+    }
+    weights
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::hmm::lag::MAX_AUDIO_STATES;
-    use crate::model::field::N_VISUAL_STATES;
 
     #[test]
     fn gates_are_the_largest_in_order() {

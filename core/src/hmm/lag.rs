@@ -3,8 +3,10 @@
 //! γ_t(s) ∝ α_t(s)·β_t(s), with β_n = 1 at the newest frame n and β_t(s) = Σ P(s→s')·b_{t+1}(s')·β_{t+1}(s')
 //! below it: the exact backward pass over the window (X&L section 3.4 has it over the utterance). A token whose γ falls
 //! out of the beam on the way is dropped for good, so that the window thins out with age.
+use super::feedback::Seen;
 use super::gates::share;
-use super::token::{PhonesByViseme, Scores, Token, backward};
+use super::token::{PhonesByViseme, Scores, Token, backward, begin, forward};
+use super::transition::JointState;
 use crate::logmath::{LogProb, NEVER_I16};
 use crate::model::Model;
 use crate::model::field::{N_EMITTING, N_VISUAL_STATES, limit};
@@ -18,19 +20,33 @@ pub struct Frame<const TOKENS: usize> {
     pub tokens: heapless::Vec<Token, TOKENS>,
     /// By audio state; [`NEVER_I16`] where nothing was active.
     pub emission: [i16; MAX_AUDIO_STATES],
+    /// Of a mouth that feeds back.
+    pub seen: Seen,
 }
 
 impl<const TOKENS: usize> Frame<TOKENS> {
     const EMPTY: Self = Self {
         tokens: heapless::Vec::new(),
         emission: [NEVER_I16; MAX_AUDIO_STATES],
+        seen: Seen::NONE,
     };
 
+    /// What the sound says of a joint state.
     #[inline]
-    fn emission(&self, audio: usize) -> LogProb {
-        LogProb::from_score(self.emission.get(audio).copied().unwrap_or(NEVER_I16))
+    fn heard(&self, _: &Model, state: JointState) -> LogProb {
+        LogProb::from_score(self.emission.get(state.audio()).copied().unwrap_or(NEVER_I16))
+    }
+
+    /// What sound and mouth say of it.
+    #[inline]
+    fn heard_and_seen(&self, model: &Model, state: JointState) -> LogProb {
+        let visual = state.visual(model.viseme(state.phone()));
+        self.heard(model, state).times(self.seen.emission(visual))
     }
 }
+
+/// What a frame says of a joint state.
+type Emission<const TOKENS: usize> = fn(&Frame<TOKENS>, &Model, JointState) -> LogProb;
 
 /// The last frames, `FRAMES` at most: a lag of `FRAMES` − 1 at most.
 #[derive(Clone, Debug)]
@@ -104,33 +120,134 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
             return occupancy;
         }
         self.worth.fill(LogProb::ONE);
-        for step in 1..=age {
-            let later = (self.newest + FRAMES + 1 - step) % FRAMES;
-            let earlier = (self.newest + FRAMES - step) % FRAMES;
-            let (Some(after), worth) = (self.frames.get(later), &mut self.worth) else {
-                return occupancy;
-            };
-            for (token, worth) in after.tokens.iter().zip(worth.iter()) {
-                scores.put(token.state, worth.times(after.emission(token.state.audio())));
-            }
-            if let Some(frame) = self.frames.get_mut(earlier) {
-                let mut best = LogProb::NEVER;
-                backward(model, phones, &frame.tokens, scores, |i, beta| {
-                    if let (Some(to), Some(token)) = (worth.get_mut(i), frame.tokens.get(i)) {
-                        *to = beta;
-                        best = best.max(beta.times(LogProb::from_score(token.score)));
-                    }
-                });
-                thin(frame, worth, best, beam);
-            }
-            scores.clear();
+        for age in 1..=age {
+            self.back(model, phones, beam, age, Frame::heard, scores);
         }
-        let oldest = (self.newest + FRAMES - age) % FRAMES;
-        if let Some(frame) = self.frames.get(oldest) {
+        if let Some(frame) = self.frames.get(self.place(age)) {
             add_up(model, frame, &self.worth, &mut occupancy);
         }
         occupancy
     }
+
+    /// Where the frame `age` before the newest is.
+    #[inline]
+    fn place(&self, age: usize) -> usize {
+        (self.newest + FRAMES - age.min(FRAMES)) % FRAMES
+    }
+
+    /// β of the tokens `age` frames before the newest, from that of the frame after them.
+    #[inline(always)]
+    fn back(
+        &mut self,
+        model: &Model,
+        phones: &PhonesByViseme,
+        beam: LogProb,
+        age: usize,
+        emission: Emission<TOKENS>,
+        scores: &mut Scores,
+    ) {
+        let (later, earlier) = (self.place(age - 1), self.place(age));
+        let (Some(after), worth) = (self.frames.get(later), &mut self.worth) else {
+            return;
+        };
+        for (token, worth) in after.tokens.iter().zip(worth.iter()) {
+            scores.put(token.state, worth.times(emission(after, model, token.state)));
+        }
+        if let Some(frame) = self.frames.get_mut(earlier) {
+            let mut best = LogProb::NEVER;
+            backward(model, phones, &frame.tokens, scores, |i, beta| {
+                if let (Some(to), Some(token)) = (worth.get_mut(i), frame.tokens.get(i)) {
+                    *to = beta;
+                    best = best.max(beta.times(LogProb::from_score(token.score)));
+                }
+            });
+            thin(frame, worth, best, beam);
+        }
+        scores.clear();
+    }
+
+    /// One sweep of re-estimation (see [`super::feedback`]) over the newest frame and the `lag` before it, the visual
+    /// likelihood to the power of `exponent` (Q16.16). `scores` must be clear and is clear again afterwards.
+    pub fn sweep(
+        &mut self,
+        model: &Model,
+        phones: &PhonesByViseme,
+        beam: LogProb,
+        lag: usize,
+        exponent: u32,
+        scores: &mut Scores,
+    ) {
+        let Some(last) = self.length.checked_sub(1) else {
+            return;
+        };
+        let oldest = lag.min(last);
+        self.worth.fill(LogProb::ONE);
+        let mut occupancy = [0; N_VISUAL_STATES];
+        if let Some(frame) = self.frames.get_mut(self.newest) {
+            add_up(model, frame, &self.worth, &mut occupancy);
+            frame.seen.begin(model, &occupancy);
+        }
+        let floor = LogProb::from_q12(-beam.q12());
+        for age in (0..=oldest).rev() {
+            match self.frames.get(self.place(age + 1)) {
+                Some(before) if age < last => forward(model, phones, &before.tokens, floor, scores),
+                _ => begin(model, scores),
+            }
+            let place = self.place(age);
+            if let Some(frame) = self.frames.get_mut(place) {
+                frame.seen.see(model, exponent, &frame.tokens);
+                weigh(model, frame, &mut self.worth, scores, beam);
+            }
+            scores.clear();
+        }
+        self.worth.fill(LogProb::ONE);
+        for age in 0..=oldest {
+            if age > 0 {
+                self.back(model, phones, beam, age, Frame::heard_and_seen, scores);
+            }
+            let place = self.place(age);
+            if let Some(frame) = self.frames.get_mut(place) {
+                occupancy.fill(0);
+                add_up(model, frame, &self.worth, &mut occupancy);
+                frame.seen.maximise(model, &occupancy);
+            }
+        }
+    }
+
+    /// What the last sweep has found `age` frames before the newest; `age` is held to the window.
+    pub fn seen(&self, age: usize) -> Option<&Seen> {
+        self.frames
+            .get(self.place(age.min(self.length.saturating_sub(1))))
+            .map(|frame| &frame.seen)
+    }
+}
+
+/// α of the frame's tokens anew: what arrives in them (`scores`) times what sound and mouth say. Those that fall out of the beam
+/// are dropped; if nothing arrives at all, the frame stays as it was.
+fn weigh<const TOKENS: usize>(
+    model: &Model,
+    frame: &mut Frame<TOKENS>,
+    room: &mut [LogProb; TOKENS],
+    scores: &Scores,
+    beam: LogProb,
+) {
+    let mut best = LogProb::NEVER;
+    for (to, token) in room.iter_mut().zip(&frame.tokens) {
+        *to = match scores.get(token.state) {
+            never if never.is_never() => never,
+            arrives => arrives.times(frame.heard_and_seen(model, token.state)),
+        };
+        best = best.max(*to);
+    }
+    if best.is_never() {
+        return;
+    }
+    let mut values = room.iter();
+    frame.tokens.retain_mut(|token| {
+        let value = values.next().map_or(LogProb::NEVER, |v| v.over(best));
+        token.score = value.to_score();
+        !value.is_never() && value.q12() >= -beam.q12()
+    });
 }
 
 impl<const TOKENS: usize, const FRAMES: usize> Default for Window<TOKENS, FRAMES> {

@@ -2,11 +2,12 @@
 //!
 //! Per frame [`follower`] runs: [`density`] says how well the sound fits each active audio state, [`token`] moves probability along
 //! [`transition`]'s arcs, [`beam`] keeps the best joint states, [`lag`] smooths over the last frames. Then
-//! [`local_linear`] turns the visual states' occupancies and the context into mouth parameters. [`converter`] runs
-//! them in order.
+//! [`local_linear`] turns the visual states' occupancies and the context into mouth parameters, or [`feedback`] the occupancies
+//! and the mouth itself. [`converter`] runs them in order.
 pub mod beam;
 pub mod converter;
 pub mod density;
+pub mod feedback;
 pub mod follower;
 pub mod gates;
 pub mod lag;

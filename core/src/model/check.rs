@@ -106,6 +106,7 @@ fn sizes(bytes: &[u8]) -> Result<Shape, ModelError> {
         0 => (1, limit::DENSITIES, 0, 0),
         _ => (0, 0, limit::MEANS, owns::ALL),
     };
+    let visual_densities = size(Size::VisualDensities, shape::VISUAL_DENSITIES, 0, densities)?;
     Ok(Shape {
         phones: size(Size::Phones, shape::PHONES, 1, limit::PHONES)?,
         densities: size(Size::Densities, shape::DENSITIES, least, densities)?,
@@ -115,6 +116,7 @@ fn sizes(bytes: &[u8]) -> Result<Shape, ModelError> {
         memory,
         means: size(Size::Means, shape::MEANS, 0, means)?,
         owns: size(Size::Owns, shape::OWNS, 0, usize::from(owns))? as u16,
+        visual_densities,
     })
 }
 
@@ -140,10 +142,18 @@ pub(super) fn values(model: &Model) -> Result<(), ModelError> {
             .map(|(_, gain)| gain <= limit::OBSERVATION_GAIN),
     )?;
     all(
-        DensityConstants,
-        i32s(model.section(DensityConstants))
-            .map(|c| c == field::NO_DENSITY || (-limit::CONSTANT..=limit::CONSTANT).contains(&c)),
+        ParameterGain,
+        model
+            .parameter_scaling()
+            .map(|(_, gain)| (1..=limit::OBSERVATION_GAIN).contains(&gain)),
     )?;
+    for section in [DensityConstants, VisualDensityConstants] {
+        all(
+            section,
+            i32s(model.section(section))
+                .map(|c| c == field::NO_DENSITY || (-limit::CONSTANT..=limit::CONSTANT).contains(&c)),
+        )?;
+    }
     for section in [Transitions, Bigram, VisemeBigram, Initial] {
         all(section, model.i16s(section).iter().map(is_probability))?;
     }
@@ -212,13 +222,14 @@ fn all(section: Section, good: impl IntoIterator<Item = bool>) -> Result<(), Mod
     }
 }
 
-fn setting_flags(bytes: &[u8]) -> [bool; 4] {
+fn setting_flags(bytes: &[u8]) -> [bool; 5] {
     let beam = u32_at(bytes, settings::BEAM);
     [
         u16_at(bytes, settings::AVERAGE) <= 1,
         beam > 0 && beam <= limit::BEAM as u32,
         u32_at(bytes, settings::ACOUSTIC_SCALE) <= limit::ACOUSTIC_SCALE,
         u32_at(bytes, settings::DISTANCE_GAIN) <= limit::DISTANCE_GAIN,
+        u32_at(bytes, settings::VISUAL_DISTANCE_GAIN) <= limit::DISTANCE_GAIN,
     ]
 }
 

@@ -16,6 +16,7 @@ pub enum Size {
     Means,
     /// Bits of [`super::field::owns`].
     Owns,
+    VisualDensities,
 }
 
 /// Why bytes are no model that this core can run.

@@ -1,4 +1,4 @@
-//! Layout of the model's tables (format version 2). Every offset and every length is here and only here.
+//! Layout of the model's tables (format version 4). Every offset and every length is here and only here.
 //!
 //! ```text
 //! header             32 bytes
@@ -14,7 +14,7 @@ use crate::{N_OBSERVATION, N_STATIC};
 /// First bytes of every model.
 pub const MAGIC: [u8; 8] = *b"lipstrm\0";
 /// Version of this layout; any other is refused.
-pub const FORMAT_VERSION: u16 = 3;
+pub const FORMAT_VERSION: u16 = 4;
 /// The front end that the tables were trained for. Raised whenever its numbers change.
 pub const FRONT_END_FINGERPRINT: u32 = 0x4850_0001;
 
@@ -138,6 +138,17 @@ pub enum Section {
     VisualGateScale = 41,
     /// i16 `[H]`, Q5.10: the memory before the first frame.
     FirstMemory = 42,
+    /// i16 `[D]`, parameter LSBs: taken off a mouth before the visual densities see it. This and what follows is there where
+    /// L > 0: what [`crate::hmm::feedback`] needs.
+    ParameterCentre = 43,
+    /// u32 `[D]`, Q16.16: then multiplied by this, which gives sixteenths of a visual density's mean LSB.
+    ParameterGain = 44,
+    /// `[65][L]` of (i8 `[D]` means, u8 `[D]` inverse deviations).
+    VisualDensities = 45,
+    /// i32 `[65][L]`, as [`Section::DensityConstants`].
+    VisualDensityConstants = 46,
+    /// i16 `[65][D]`, parameter LSBs: mean of each visual state's mixture.
+    VisualCentres = 47,
 }
 
 /// Rows, and columns of each, that lie together in a matrix in blocks: [`BLOCK`]² bytes are four columns of four rows, row
@@ -250,10 +261,15 @@ impl Section {
         Section::VisualGates,
         Section::VisualGateScale,
         Section::FirstMemory,
+        Section::ParameterCentre,
+        Section::ParameterGain,
+        Section::VisualDensities,
+        Section::VisualDensityConstants,
+        Section::VisualCentres,
     ];
 }
 
-pub const N_SECTIONS: usize = 43;
+pub const N_SECTIONS: usize = 48;
 
 /// Offsets in [`Section::Shape`], all u16.
 pub mod shape {
@@ -273,7 +289,9 @@ pub mod shape {
     pub const MEANS: usize = 12;
     /// Which states own what, see [`super::owns`].
     pub const OWNS: usize = 14;
-    pub const SIZE: usize = 16;
+    /// L, densities of a visual mixture; 0 where the tables have none
+    pub const VISUAL_DENSITIES: usize = 16;
+    pub const SIZE: usize = 18;
 }
 
 /// Bits of [`shape::OWNS`].
@@ -299,7 +317,9 @@ pub mod settings {
     pub const ACOUSTIC_SCALE: usize = 8;
     /// u32, LSB 2⁻²⁰: log2 units of 2⁻¹² for one unit of a density's squared distance
     pub const DISTANCE_GAIN: usize = 12;
-    pub const SIZE: usize = 16;
+    /// u32, the same of the visual densities
+    pub const VISUAL_DISTANCE_GAIN: usize = 16;
+    pub const SIZE: usize = 20;
 }
 
 /// Constant of a density that is not used.
@@ -342,7 +362,7 @@ pub mod limit {
     pub const ACOUSTIC_SCALE: u32 = 4 << 16;
     /// Widest beam, LSBs of 2⁻¹²: 16384 bits, no beam at all.
     pub const BEAM: i32 = 1 << 26;
-    /// Largest gain on an observation, Q16.16.
+    /// Largest gain on an observation or on a mouth, Q16.16.
     pub const OBSERVATION_GAIN: u32 = 1 << 30;
     /// Largest |bias| or |offset| of a sum.
     pub const OFFSET: i32 = 1 << 30;
@@ -376,6 +396,8 @@ pub struct Shape {
     pub means: usize,
     /// Bits of [`owns`].
     pub owns: u16,
+    /// L, densities of a visual mixture; 0 where the tables have none
+    pub visual_densities: usize,
 }
 
 impl Shape {
@@ -390,11 +412,14 @@ impl Shape {
             memory: h,
             means: m,
             owns: _,
+            visual_densities: l,
         } = *self;
         let (s, v) = (N_EMITTING * p, N_VISUAL_STATES);
         // 1 or 0: what only a local linear model has, and what only a model with a memory has.
         let linear = (h == 0) as usize;
         let recurrent = 1 - linear;
+        // 1 or 0: whether the mouth can be re-estimated.
+        let seen = (l > 0) as usize;
         match section {
             Section::Shape => shape::SIZE,
             Section::Settings => settings::SIZE,
@@ -436,6 +461,11 @@ impl Shape {
             Section::VisualGates => v * self.gate(owns::VISUAL_MAPS, owns::VISUAL_RATES),
             Section::VisualGateScale => 12 * v * recurrent,
             Section::FirstMemory => 2 * h,
+            Section::ParameterCentre => 2 * d * seen,
+            Section::ParameterGain => 4 * d * seen,
+            Section::VisualDensities => v * l * 2 * d,
+            Section::VisualDensityConstants => 4 * v * l,
+            Section::VisualCentres => 2 * v * d * seen,
         }
     }
 

@@ -69,6 +69,17 @@ pub struct Density<'a> {
     pub inverse_deviation: &'a [u8; N_OBSERVATION],
 }
 
+/// One density of a visual mixture, as it lies in the tables.
+#[derive(Clone, Copy, Debug)]
+pub struct VisualDensity<'a> {
+    /// log2 of weight and normaliser; None for one that is not used.
+    pub constant: Option<LogProb>,
+    /// Means, i8 two's complement, `[D]`.
+    pub mean: &'a [u8],
+    /// Inverse deviations `[D]`.
+    pub inverse_deviation: &'a [u8],
+}
+
 /// A model whose bytes have been checked: every section is there, has the length that the sizes ask for, and
 /// holds only numbers that the converter can take. It borrows the bytes and copies none of the tables; no
 /// accessor can fail or panic (an index beyond the model's sizes gives zeros or nothing).
@@ -188,14 +199,71 @@ impl<'a> Model<'a> {
             .0
             .iter()
             .zip(halves)
-            .map(|(constant, [mean, inverse_deviation])| {
-                let constant = i32::from_le_bytes(*constant);
-                Density {
-                    constant: (constant != field::NO_DENSITY).then_some(LogProb::from_q12(constant)),
+            .map(|(constant, [mean, inverse_deviation])| Density {
+                constant: constant_of(*constant),
+                mean,
+                inverse_deviation,
+            })
+    }
+
+    /// Whether the tables have visual densities, see [`crate::hmm::feedback`].
+    #[inline]
+    pub fn has_visual_densities(&self) -> bool {
+        self.shape.visual_densities > 0
+    }
+
+    /// Centre (parameter LSBs) and gain (Q16.16) of each parameter before the visual densities; nothing without them.
+    #[inline]
+    pub fn parameter_scaling(&self) -> impl Iterator<Item = (i16, u32)> + 'a {
+        let gains = self.section(Section::ParameterGain).as_chunks().0;
+        self.i16s(Section::ParameterCentre)
+            .iter()
+            .zip(gains.iter().map(|b| u32::from_le_bytes(*b)))
+    }
+
+    /// The densities of visual state 5·viseme + j.
+    #[inline]
+    pub fn visual_mixture(&self, state: usize) -> impl Iterator<Item = VisualDensity<'a>> + 'a {
+        let Shape {
+            visual_densities: l,
+            parameters: d,
+            ..
+        } = self.shape;
+        let constants = self
+            .section(Section::VisualDensityConstants)
+            .get(4 * state * l..4 * (state + 1) * l)
+            .unwrap_or(&[]);
+        let size = l * 2 * d;
+        let densities = self
+            .section(Section::VisualDensities)
+            .get(state * size..(state + 1) * size)
+            .unwrap_or(&[]);
+        let halves = densities.chunks_exact(2 * d);
+        constants
+            .as_chunks()
+            .0
+            .iter()
+            .zip(halves)
+            .map(move |(constant, both)| {
+                let (mean, inverse_deviation) = both.split_at(d.min(both.len()));
+                VisualDensity {
+                    constant: constant_of(*constant),
                     mean,
                     inverse_deviation,
                 }
             })
+    }
+
+    /// Mean of the mixture of visual state 5·viseme + j, parameter LSBs `[D]`.
+    #[inline]
+    pub fn visual_centre(&self, state: usize) -> I16s<'a> {
+        self.i16s(Section::VisualCentres)
+            .row(state, self.shape.parameters)
+    }
+
+    /// [`Model::distance_gain`] of the visual densities.
+    pub fn visual_distance_gain(&self) -> u32 {
+        u32_at(self.section(Section::Settings), settings::VISUAL_DISTANCE_GAIN)
     }
 
     /// Log probabilities of the four choices of a joint state of `phone` in transition class `class`.
@@ -535,6 +603,12 @@ pub struct StateRow<'a> {
     pub scale: u16,
     /// Parameter LSBs.
     pub bias: i16,
+}
+
+/// Constant of a density; None for one that is not used.
+fn constant_of(bytes: [u8; 4]) -> Option<LogProb> {
+    let constant = i32::from_le_bytes(bytes);
+    (constant != field::NO_DENSITY).then_some(LogProb::from_q12(constant))
 }
 
 pub(super) fn u8_at(bytes: &[u8], at: usize) -> u8 {

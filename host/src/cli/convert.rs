@@ -32,6 +32,10 @@ pub(crate) struct Args {
     /// Width of the beam in bits, fixed engine only [default: the tables']
     #[arg(long)]
     beam: Option<f64>,
+    /// The mouth by the paper's EM inside the lag window in place of the model's maps, with this exponent on its likelihood (0 to
+    /// 4); likelihood-trained models only
+    #[arg(long, value_name = "EXPONENT")]
+    feedback: Option<f64>,
 }
 
 /// Delay profiles (DESIGN section 5).
@@ -64,6 +68,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let with = RunSettings {
         lag: args.lag,
         beam_bits: args.beam,
+        feedback: args.feedback,
         profile: args.profile.map(Profile::of),
     };
     let converted = engine.convert(&sound.samples, &with)?;

@@ -31,6 +31,9 @@ pub(crate) struct Args {
     /// Leave out the average over three frames (10 ms less delay)
     #[arg(long)]
     no_average: bool,
+    /// Write the visual densities too, so that a stream can re-estimate the mouth by EM (`convert --feedback`)
+    #[arg(long)]
+    visual_densities: bool,
     /// Take tables of this many KiB at most
     #[arg(long, value_name = "KIB")]
     flash: Option<usize>,
@@ -126,9 +129,10 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
     let (mut ready, mut all) = (Vec::new(), Vec::new());
     for (n, path) in args.models.iter().enumerate() {
         if MgeModel::is_kind(&Tensors::read(path)?) {
-            if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average {
+            if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average || args.visual_densities
+            {
                 bail!(
-                    "{} was trained on the error of its mouth: it has no lag, no acoustic scale and no average to set",
+                    "{} was trained on the error of its mouth: it has no lag, no acoustic scale, no average and no visual densities to set",
                     path.display()
                 );
             }
@@ -155,6 +159,7 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
                 beam_bits: args.beam.unwrap_or(own.beam_bits),
                 acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
                 average: !args.no_average,
+                visual_densities: args.visual_densities,
             };
             let exported = export(&model, &settings)?;
             all.push(Candidate {

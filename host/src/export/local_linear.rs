@@ -2,19 +2,20 @@
 use std::f64::consts::{LOG2_E, PI};
 
 use anyhow::{Result, bail, ensure};
+use lipstream_core::N_STATIC;
 use lipstream_core::logmath::FRACTION_BITS;
 use lipstream_core::model::field::{
     DISTANCE_SHIFT, INPUT_FRACTION_BITS, MEAN_SHIFT, N_VISUAL_STATES, NO_DENSITY, SUM_FRACTION_BITS, Section,
     Shape, limit,
 };
-use lipstream_core::{N_OBSERVATION, N_STATIC};
 use ndarray::Axis;
 
 use super::tables::{Errors, SumRows, Tables};
+use crate::hmm::inversion::centres;
 use crate::model::{Mixtures, Model};
 
-/// Empty tables of the model's sizes.
-pub(super) fn begin(model: &Model) -> Result<Tables> {
+/// Empty tables of the model's sizes, with room for its visual densities if they are to be in.
+pub(super) fn begin(model: &Model, visual_densities: bool) -> Result<Tables> {
     let shape = Shape {
         phones: model.phones.len(),
         densities: model.audio.mean.dim().1,
@@ -24,12 +25,21 @@ pub(super) fn begin(model: &Model) -> Result<Tables> {
         memory: 0,
         means: 0,
         owns: 0,
+        visual_densities: match visual_densities {
+            true => model.visual.mean.dim().1,
+            false => 0,
+        },
     };
     Tables::new(
         shape,
         &[
             ("phones", shape.phones, limit::PHONES),
             ("densities a state", shape.densities, limit::DENSITIES),
+            (
+                "densities a visual state",
+                model.visual.mean.dim().1,
+                limit::DENSITIES,
+            ),
             ("context taps", shape.taps, limit::TAPS),
             ("projected inputs", shape.inputs, limit::INPUTS),
             ("visual parameters", shape.parameters, limit::PARAMETERS),
@@ -38,28 +48,77 @@ pub(super) fn begin(model: &Model) -> Result<Tables> {
 }
 
 impl Tables {
-    /// Means in i8 steps and inverse deviations in u8 steps; gives the gain on squared distances.
+    /// The densities of the sound; gives the gain on their squared distances.
+    pub(super) fn put_audio_densities(&mut self, audio: &Mixtures) -> Result<u32> {
+        self.put_densities(
+            audio,
+            [
+                Section::ObservationCentre,
+                Section::ObservationGain,
+                Section::Densities,
+                Section::DensityConstants,
+            ],
+        )
+    }
+
+    /// The densities of the mouth and the centres of its states; gives the gain on their squared distances.
+    pub(super) fn put_visual_densities(&mut self, model: &Model) -> Result<u32> {
+        let scales = parameter_scales(model);
+        // As a table of observations: an LSB is 1/256.
+        let mut scaled = model.visual.clone();
+        for ((_, _, d), mean) in scaled.mean.indexed_iter_mut() {
+            *mean /= 256.0 * scales[d];
+        }
+        for ((_, _, d), variance) in scaled.variance.indexed_iter_mut() {
+            *variance /= (256.0 * scales[d]).powi(2);
+        }
+        let mut errors = Errors::new("deviation");
+        let mut bytes = Vec::new();
+        for row in centres(&model.visual).rows() {
+            for (centre, scale) in row.iter().zip(&scales) {
+                let value = f64::from(centre / scale);
+                let q = errors.round(value, 32767.0);
+                errors.add((q - value) / DEVIATION_LSB);
+                bytes.extend((q as i16).to_le_bytes());
+            }
+        }
+        self.put(Section::VisualCentres, bytes, errors.report());
+        self.put_densities(
+            &scaled,
+            [
+                Section::ParameterCentre,
+                Section::ParameterGain,
+                Section::VisualDensities,
+                Section::VisualDensityConstants,
+            ],
+        )
+    }
+
+    /// Means in i8 steps and inverse deviations in u8 steps of mixtures over numbers whose LSB is 1/256, into sections for centre,
+    /// gain, densities and constants; gives the gain on squared distances.
     ///
     /// A dimension's mean step is the larger of what its means' range needs (range/254) and [`FINEST_STEP`] of its
     /// smallest deviation, so that quiet dimensions (Δ, ΔΔ) leave no steps of the inverse deviation unused. One
     /// step ω of the inverse deviation, in mean steps, serves all dimensions.
-    pub(super) fn put_densities(&mut self, audio: &Mixtures) -> Result<u32> {
-        let used: Vec<(usize, usize)> = audio
+    fn put_densities(&mut self, mixtures: &Mixtures, into: [Section; 4]) -> Result<u32> {
+        let what = into[2];
+        let used: Vec<(usize, usize)> = mixtures
             .log_weight
             .indexed_iter()
-            .filter(|(_, w)| **w > Mixtures::NO_WEIGHT / 10.0)
+            .filter(|(_, w)| is_used(**w))
             .map(|(at, _)| at)
             .collect();
-        ensure!(!used.is_empty(), "the model has no audio density");
-        let mut centre = [0f64; N_OBSERVATION];
-        let mut step = [0f64; N_OBSERVATION];
+        ensure!(!used.is_empty(), "the model has no density for {what:?}");
+        let size = mixtures.mean.dim().2;
+        let mut centre = vec![0f64; size];
+        let mut step = vec![0f64; size];
         let mut omega = 0f64;
-        for d in 0..N_OBSERVATION {
+        for d in 0..size {
             let (mut low, mut high, mut narrow) = (f64::MAX, f64::MIN, f64::MAX);
             for &(s, k) in &used {
-                let mean = f64::from(audio.mean[[s, k, d]]);
+                let mean = f64::from(mixtures.mean[[s, k, d]]);
                 (low, high) = (low.min(mean), high.max(mean));
-                narrow = narrow.min(f64::from(audio.variance[[s, k, d]]).sqrt());
+                narrow = narrow.min(f64::from(mixtures.variance[[s, k, d]]).sqrt());
             }
             centre[d] = ((low + high) / 2.0 * 256.0).round() / 256.0;
             step[d] = ((high - low) / 2.0 / 126.0).max(FINEST_STEP * narrow);
@@ -71,51 +130,49 @@ impl Tables {
         let unit = f64::from(1 << DISTANCE_SHIFT) / f64::from(1 << MEAN_SHIFT) * omega;
         let gain = 0.5 * LOG2_E * unit * unit * f64::from(1 << FRACTION_BITS) * f64::from(1 << 20);
         if gain > f64::from(limit::DISTANCE_GAIN) {
-            bail!("the audio variances differ too much for the device's tables");
+            bail!("the variances of {what:?} differ too much for the device's tables");
         }
         let gains: Vec<u32> = step
             .iter()
             .map(|s| (65536.0 * f64::from(1 << MEAN_SHIFT) / 256.0 / s).round() as u32)
             .collect();
         ensure!(
-            gains.iter().all(|g| *g <= limit::OBSERVATION_GAIN),
-            "an audio variance is too small for the device's tables"
+            gains.iter().all(|g| (1..=limit::OBSERVATION_GAIN).contains(g)),
+            "a variance of {what:?} is too small or too large for the device's tables"
         );
         ensure!(
             centre.iter().all(|c| c.abs() < 128.0),
-            "an audio mean is outside the front end's range"
+            "a mean of {what:?} is outside the range of the device's tables"
         );
         let bytes = centre
             .iter()
             .flat_map(|c| ((c * 256.0) as i16).to_le_bytes())
             .collect();
-        self.put(Section::ObservationCentre, bytes, None);
-        self.put(
-            Section::ObservationGain,
-            gains.iter().flat_map(|g| g.to_le_bytes()).collect(),
-            None,
-        );
-        self.put_density_tables(audio, &centre, &step, omega)?;
+        self.put(into[0], bytes, None);
+        let bytes = gains.iter().flat_map(|g| g.to_le_bytes()).collect();
+        self.put(into[1], bytes, None);
+        self.put_density_tables(mixtures, &centre, &step, omega, [into[2], into[3]])?;
         Ok(gain.round() as u32)
     }
 
     fn put_density_tables(
         &mut self,
-        audio: &Mixtures,
+        mixtures: &Mixtures,
         centre: &[f64],
         step: &[f64],
         omega: f64,
+        into: [Section; 2],
     ) -> Result<()> {
         let mut errors = Errors::new("deviation (means)");
         let mut bytes = Vec::new();
         let mut constants = Vec::new();
-        for ((s, k), log_weight) in audio.log_weight.indexed_iter() {
+        for ((s, k), log_weight) in mixtures.log_weight.indexed_iter() {
             let mut constant = f64::from(*log_weight) * LOG2_E;
-            let used = *log_weight > Mixtures::NO_WEIGHT / 10.0;
-            let mut inverses = Vec::with_capacity(N_OBSERVATION);
-            for d in 0..N_OBSERVATION {
-                let mean = f64::from(audio.mean[[s, k, d]]);
-                let deviation = f64::from(audio.variance[[s, k, d]]).sqrt();
+            let used = is_used(*log_weight);
+            let mut inverses = Vec::with_capacity(step.len());
+            for d in 0..step.len() {
+                let mean = f64::from(mixtures.mean[[s, k, d]]);
+                let deviation = f64::from(mixtures.variance[[s, k, d]]).sqrt();
                 let q = if used {
                     errors.round((mean - centre[d]) / step[d], 127.0)
                 } else {
@@ -135,7 +192,8 @@ impl Tables {
                 let q = (constant * f64::from(1 << FRACTION_BITS)).round();
                 ensure!(
                     q.abs() <= f64::from(limit::CONSTANT),
-                    "an audio density's weight or variance is out of range"
+                    "a weight or variance of {:?} is out of range",
+                    into[0]
                 );
                 q as i32
             } else {
@@ -143,8 +201,8 @@ impl Tables {
             };
             constants.extend(constant.to_le_bytes());
         }
-        self.put(Section::Densities, bytes, errors.report());
-        self.put(Section::DensityConstants, constants, None);
+        self.put(into[0], bytes, errors.report());
+        self.put(into[1], constants, None);
         Ok(())
     }
 
@@ -231,6 +289,11 @@ impl Tables {
         self.put(Section::StateBias, biases, bias_errors.report());
         Ok(())
     }
+}
+
+/// Whether a density of this log weight is one.
+fn is_used(log_weight: f32) -> bool {
+    log_weight > Mixtures::NO_WEIGHT / 10.0
 }
 
 /// Finest mean step, in the smallest deviation of its dimension.

@@ -5,18 +5,17 @@ use std::f64::consts::LOG2_E;
 
 use anyhow::{Result, bail, ensure};
 use lipstream_core::N_STATIC;
-use lipstream_core::hmm::transition::{N_CHOICES, N_CLASSES};
 use lipstream_core::logmath::FRACTION_BITS;
 use lipstream_core::model::field::{
     BLOCK, Matrix, N_VISUAL_STATES, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, Section, Shape, limit, owns,
 };
-use ndarray::{Array2, Array3};
+use ndarray::Array2;
 
 use super::tables::{Errors, SumRows, Tables};
 use super::{Export, ExportSettings as RunSettings};
 use crate::mge::model::MgeModel;
 use crate::mge::parameters::{Feedback, Group};
-use crate::mge::step::{log_softmax_rows, softmax};
+use crate::mge::step::softmax;
 
 /// Run-time settings that go into the tables.
 #[derive(Clone, Copy, Debug)]
@@ -64,6 +63,7 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         .into_iter()
         .filter_map(|(has, bit)| has.then_some(bit))
         .sum(),
+        visual_densities: 0,
     };
     let mut tables = Tables::new(
         shape,
@@ -88,15 +88,19 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         beam_bits: with.beam_bits,
         acoustic_scale: 1.0,
         average: false,
+        visual_densities: false,
     };
-    tables.put_settings(&settings, 0)?;
-    let transition = log_softmax_rows(p.of(Group::Transition));
-    let transition = Array3::from_shape_vec((of.phones, N_CLASSES, N_CHOICES), transition)?;
+    tables.put_settings(&settings, 0, 0)?;
     let initial: Vec<f32> = softmax(p.of(Group::Initial))
         .iter()
         .map(|p| p.max(1e-30).ln())
         .collect();
-    tables.put_transitions(&model.twin.phones, &transition, &model.twin.bigram, &initial)?;
+    tables.put_transitions(
+        &model.twin.phones,
+        &model.transition(),
+        &model.twin.bigram,
+        &initial,
+    )?;
     tables.put_context(model)?;
     tables.put_matrices(model)?;
     tables.put_gates(model)?;

@@ -25,6 +25,8 @@ pub struct ExportSettings {
     pub acoustic_scale: f64,
     /// Three-frame moving average (X&L section 6).
     pub average: bool,
+    /// Whether the visual densities go in too, so that streams can re-estimate the mouth by EM.
+    pub visual_densities: bool,
 }
 
 /// Width of the beam where nobody says otherwise, bits. On 400 training clips of GRID talker 1, 16 bits lose the thread now and
@@ -39,6 +41,7 @@ impl ExportSettings {
             beam_bits: DEFAULT_BEAM_BITS,
             acoustic_scale: f64::from(model.following.acoustic_scale),
             average: true,
+            visual_densities: false,
         }
     }
 }
@@ -78,11 +81,15 @@ pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
             System::LOCAL_LINEAR.name
         );
     }
-    let mut tables = local_linear::begin(model)?;
+    let mut tables = local_linear::begin(model, with.visual_densities)?;
     tables.put_phones(&model.phones)?;
     tables.put_start_mean(&model.start_mean);
-    let distance_gain = tables.put_densities(&model.audio)?;
-    tables.put_settings(with, distance_gain)?;
+    let distance_gain = tables.put_audio_densities(&model.audio)?;
+    let visual_distance_gain = match with.visual_densities {
+        true => tables.put_visual_densities(model)?,
+        false => 0,
+    };
+    tables.put_settings(with, distance_gain, visual_distance_gain)?;
     tables.put_transitions(
         &model.phones,
         &model.transition,

@@ -88,6 +88,7 @@ impl Tables {
             (shape::MEMORY, shape.memory),
             (shape::MEANS, shape.means),
             (shape::OWNS, usize::from(shape.owns)),
+            (shape::VISUAL_DENSITIES, shape.visual_densities),
         ] {
             put_u16(&mut bytes, at, value as u16);
         }
@@ -129,7 +130,12 @@ impl Tables {
         self.put(Section::StartMean, start, errors.report());
     }
 
-    pub(super) fn put_settings(&mut self, with: &ExportSettings, distance_gain: u32) -> Result<()> {
+    pub(super) fn put_settings(
+        &mut self,
+        with: &ExportSettings,
+        distance_gain: u32,
+        visual_distance_gain: u32,
+    ) -> Result<()> {
         ensure!(with.lag <= 1000, "a lag of {} hops is too long", with.lag);
         let beam = with.beam_bits * f64::from(1 << FRACTION_BITS);
         ensure!(
@@ -149,6 +155,7 @@ impl Tables {
         put_u32(&mut bytes, settings::BEAM, beam.round() as u32);
         put_u32(&mut bytes, settings::ACOUSTIC_SCALE, scale.round() as u32);
         put_u32(&mut bytes, settings::DISTANCE_GAIN, distance_gain);
+        put_u32(&mut bytes, settings::VISUAL_DISTANCE_GAIN, visual_distance_gain);
         self.put(Section::Settings, bytes, None);
         Ok(())
     }

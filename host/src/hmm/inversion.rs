@@ -50,6 +50,17 @@ struct Heard {
     component: Option<Array3<f32>>,
 }
 
+impl Heard {
+    /// Frames `first` to `last`.
+    fn part(&self, first: usize, last: usize) -> Self {
+        let component = self.component.as_ref();
+        Self {
+            state: self.state.slice(s![first..=last, ..]).to_owned(),
+            component: component.map(|c| c.slice(s![first..=last, .., ..]).to_owned()),
+        }
+    }
+}
+
 impl Inverter {
     pub fn new(hmm: Hmm) -> Self {
         let (graph, probability) = hmm.phone_loop();
@@ -295,51 +306,49 @@ impl Inverter {
         let heard = self.hear(observations, settings.acoustic_scale);
         let frames = observations.nrows();
         let mut mouth = Array2::<f32>::zeros((frames, self.centre.ncols()));
-        // α of the frame before the window.
-        let mut before: Option<Vec<f64>> = None;
+        // α of the frame before the window, and of the frame before the new one.
+        let (mut before, mut newest): (Option<Vec<f64>>, Option<Vec<f64>>) = (None, None);
         for t in 0..frames {
             let first = t.saturating_sub(lag);
-            let part = Heard {
-                state: heard.state.slice(s![first..=t, ..]).to_owned(),
-                component: heard
-                    .component
-                    .as_ref()
-                    .map(|c| c.slice(s![first..=t, .., ..]).to_owned()),
-            };
-            let length = t + 1 - first;
-            let mut window = mouth.slice(s![first..=t, ..]).to_owned();
             // The new frame is heard, not seen yet: its mouth is the centres of the states that its sound leaves.
-            let (mut state, _) = self.see(&part, &window, settings.visual_exponent);
-            if part.component.is_none() {
-                state.row_mut(length - 1).fill(0.0);
-            } else if let Some(sound) = &part.component {
-                for s in 0..state.ncols() {
-                    state[[length - 1, s]] = log_sum(sound.slice(s![length - 1, s, ..]).iter().copied());
-                }
-            }
-            let heard_last = self.follow(&part, &state, before.as_deref(), length)?;
+            let alone = heard.part(t, t);
+            let state = self.unseen(&alone);
+            let alpha = self.follow(&alone, &state, newest.as_deref(), 1)?.alpha;
             let mut centre = vec![0.0f64; mouth.ncols()];
-            for (s, at) in self.graph.states.iter().enumerate() {
-                let weight = heard_last.alpha[[length - 1, s]];
-                if weight > 1e-7 {
-                    for (c, m) in centre.iter_mut().zip(self.centre.row(at.visual)) {
-                        *c += weight * f64::from(*m);
-                    }
+            for (at, weight) in self.graph.states.iter().zip(alpha.row(0)) {
+                for (c, m) in centre.iter_mut().zip(self.centre.row(at.visual)) {
+                    *c += weight * f64::from(*m);
                 }
             }
-            for (to, c) in window.row_mut(length - 1).iter_mut().zip(&centre) {
-                *to = *c as f32;
-            }
+            mouth
+                .row_mut(t)
+                .iter_mut()
+                .zip(&centre)
+                .for_each(|(to, c)| *to = *c as f32);
+            let part = heard.part(first, t);
+            let window = mouth.slice(s![first..=t, ..]).to_owned();
             let (state, component) = self.see(&part, &window, settings.visual_exponent);
-            let seen = self.follow(&part, &state, before.as_deref(), length)?;
+            let seen = self.follow(&part, &state, before.as_deref(), window.nrows())?;
             let gamma = seen.backward(&self.graph, &self.probability, |_, _, _| ());
             let (_, next) = self.maximise(&gamma, &component, settings.m_step);
             mouth.slice_mut(s![first..=t, ..]).assign(&next);
+            newest = Some(seen.alpha.row(t - first).to_vec());
             if t >= lag {
                 before = Some(seen.alpha.row(0).to_vec());
             }
         }
         Ok(mouth)
+    }
+
+    /// [`Self::see`] where no mouth has been seen: what sound alone says of each visual state.
+    fn unseen(&self, heard: &Heard) -> Array2<f32> {
+        let states = self.centre.nrows();
+        Array2::from_shape_fn((heard.state.nrows(), states), |(t, s)| {
+            heard
+                .component
+                .as_ref()
+                .map_or(0.0, |sound| log_sum(sound.slice(s![t, s, ..]).iter().copied()))
+        })
     }
 
     /// The forward pass over a window, on from the frame before it.
@@ -373,8 +382,8 @@ fn unweighted(mixtures: &Mixtures) -> Mixtures {
     out
 }
 
-/// Σ_k w_k μ_k of every state.
-fn centres(mixtures: &Mixtures) -> Array2<f32> {
+/// Σ_k w_k μ_k of every state, `[states, D]`.
+pub fn centres(mixtures: &Mixtures) -> Array2<f32> {
     let (states, k, d) = mixtures.mean.dim();
     let mut out = Array2::zeros((states, d));
     for s in 0..states {

@@ -444,12 +444,12 @@ pub enum Visual {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::hmm::graph::{Graph, JointState};
+    use crate::hmm::graph::Graph;
     use crate::hmm::network::PhoneNetwork;
     use crate::hmm::topology::Topology;
+    use crate::mge::log_sums::{LogSums, Sums, slots};
     use rand::{RngExt, SeedableRng};
     use rand_pcg::Pcg64;
-    use std::collections::HashMap;
 
     /// Random transitions and bigram over the first `n` phones.
     pub(crate) fn random(n: usize, seed: u64) -> (Vec<Phone>, Array3<f32>, Array2<f32>) {
@@ -470,30 +470,6 @@ pub(crate) mod tests {
         let raw = Array2::from_shape_fn((n, n), |_| rng.random_range(0.05f32..1.0));
         let bigram = Array2::from_shape_fn((n, n), |(p, q)| (raw[[p, q]] / raw.row(p).sum()).ln());
         (phones, transition, bigram)
-    }
-
-    /// Which slot each state of the graph is. Pairs that differ only in what they wait for share their states.
-    fn slots(chain: &Chain, graph: &Graph) -> Vec<usize> {
-        let mut of: HashMap<(usize, usize, usize), usize> = HashMap::new();
-        chain.for_slots(|k, i, visual| {
-            for p in 0..chain.phones {
-                let (v, class) = match visual {
-                    Visual::Own(j) => (N_EMITTING * chain.atom[p] + j, k),
-                    Visual::State(v) if k < INSIDE + ATOMS => (v, MOUTH_LEADS),
-                    Visual::State(v) => (v, SOUND_LEADS),
-                };
-                of.insert((N_EMITTING * p + i, v, class), k * chain.stride + p);
-            }
-        });
-        graph
-            .states
-            .iter()
-            .map(
-                |JointState {
-                     audio, visual, class, ..
-                 }| of[&(*audio, *visual, *class)],
-            )
-            .collect()
     }
 
     #[test]
@@ -525,6 +501,13 @@ pub(crate) mod tests {
             chain.predict(&alpha, &mut out, &mut chain.scratch());
             for (have, want) in out.iter().zip(&expected) {
                 assert!((f64::from(*have) - want).abs() < 1e-5, "{have} {want}");
+            }
+            for (sums, bound) in [(Sums::Exact, 0.005), (Sums::Table, 0.02)] {
+                LogSums::new(&chain, &graph, &probability, sums).predict(&alpha, &mut out);
+                for (have, want) in out.iter().zip(&expected) {
+                    let error = (f64::from(*have) - want).abs();
+                    assert!(error <= bound * want, "{sums:?}: {have} {want}");
+                }
             }
         }
     }

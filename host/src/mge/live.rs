@@ -4,6 +4,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 
 use super::chain::{Scratch, VISUAL, axpy, dot};
 use super::context::Window;
+use super::log_sums::{LogSums, Sums};
 use super::model::MgeModel;
 use super::parameters::{Feedback, Group};
 use super::step::{Net, Room, Speak, emissions_audio, emissions_visual, marginals, observe, visual_logs};
@@ -29,6 +30,8 @@ pub struct Live<'a> {
     alpha: Vec<f32>,
     next: Vec<f32>,
     scratch: Scratch,
+    /// Adds probabilities as logarithms.
+    sums: Option<LogSums>,
     memory: Vec<f32>,
     output: Vec<f32>,
     started: bool,
@@ -50,12 +53,21 @@ impl<'a> Live<'a> {
             alpha: vec![0.0; states],
             next: vec![0.0; states],
             scratch: net.chain.scratch(),
+            sums: None,
             memory: model.parameters.of(Group::FirstMemory).to_vec(),
             output: vec![0.0; shape.outputs],
             started: false,
             left: ahead.min(shape.context.look_ahead()),
             net,
         }
+    }
+
+    /// The same with probabilities added as logarithms.
+    pub fn with_sums(model: &'a MgeModel, ahead: usize, sums: Sums) -> Self {
+        let mut live = Self::new(model, ahead);
+        let (graph, probability) = model.phone_loop();
+        live.sums = Some(LogSums::new(&live.net.chain, &graph, &probability, sums));
+        live
     }
 
     /// Takes frame n's 13 statics; gives frame n − look-ahead.
@@ -98,7 +110,10 @@ impl<'a> Live<'a> {
 
         let chain = &self.net.chain;
         if self.started {
-            chain.predict(&self.alpha, &mut self.next, &mut self.scratch);
+            match &self.sums {
+                None => chain.predict(&self.alpha, &mut self.next, &mut self.scratch),
+                Some(sums) => sums.predict(&self.alpha, &mut self.next),
+            }
             std::mem::swap(&mut self.alpha, &mut self.next);
         } else {
             self.alpha.copy_from_slice(&self.net.first_alpha);
@@ -168,12 +183,21 @@ pub fn convert(model: &MgeModel, statics: ArrayView2<f32>) -> Converted {
 
 /// [`convert`] with `ahead` frames of future only.
 pub fn convert_within(model: &MgeModel, statics: ArrayView2<f32>, ahead: usize) -> Converted {
+    hear(model, statics, Live::new(model, ahead))
+}
+
+/// [`convert`] with probabilities added as logarithms.
+pub fn convert_with_sums(model: &MgeModel, statics: ArrayView2<f32>, sums: Sums) -> Converted {
+    let ahead = model.parameters.shape.context.look_ahead();
+    hear(model, statics, Live::with_sums(model, ahead, sums))
+}
+
+fn hear(model: &MgeModel, statics: ArrayView2<f32>, mut live: Live) -> Converted {
     let shape = &model.parameters.shape;
     let frames = statics.nrows();
     let mut parameters = Array2::zeros((frames, shape.outputs));
     let mut audio = Array2::zeros((frames, shape.audio_states()));
     let mut visual = Array2::zeros((frames, VISUAL));
-    let mut live = Live::new(model, ahead);
     let mut t = 0;
     let mut take = |spoken: Spoken| {
         for (row, from) in [

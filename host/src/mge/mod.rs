@@ -13,6 +13,7 @@ pub mod disturb;
 mod gradient_tests;
 pub mod judge;
 pub mod live;
+pub mod log_sums;
 pub mod model;
 pub mod optimise;
 pub mod parameters;

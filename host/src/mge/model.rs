@@ -4,12 +4,14 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
 use lipstream_core::N_STATIC;
-use ndarray::{Array1, Array2, ArrayView2};
+use ndarray::{Array1, Array2, Array3, ArrayView2};
 
 use super::chain::{Chain, VISUAL};
 use super::context::Context;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use super::step::{log_softmax_rows, softmax};
+use crate::hmm::Hmm;
+use crate::hmm::graph::Graph;
 use crate::model::{Model, N_TRANSITION_CLASSES};
 use crate::tensors::{Tensors, TensorsBuilder};
 
@@ -43,6 +45,22 @@ impl MgeModel {
     /// The loop over the twin's phones.
     pub fn chain(&self) -> Chain {
         Chain::new(&self.twin.phones, &self.twin.transition, &self.twin.bigram)
+    }
+
+    /// Natural logs of the trained transitions, `[phones, 15, 4]`.
+    pub fn transition(&self) -> Array3<f32> {
+        let logs = log_softmax_rows(self.parameters.of(Group::Transition));
+        Array3::from_shape_vec((self.twin.phones.len(), N_TRANSITION_CLASSES, 4), logs)
+            .expect("the parameters are of the twin's phones")
+    }
+
+    /// The loop over all phones as a graph, and the probability of each arc.
+    pub fn phone_loop(&self) -> (Graph, Vec<f64>) {
+        Hmm {
+            transition: &self.transition(),
+            ..Hmm::of_model(&self.twin)
+        }
+        .phone_loop()
     }
 
     /// Future that a live mouth waits for, in ms between frame centres.

@@ -17,12 +17,22 @@ pub(crate) fn section(bytes: &[u8], section: Section) -> std::ops::Range<usize> 
     word(entry::OFFSET)..word(entry::OFFSET) + word(entry::LENGTH)
 }
 
-/// A stream over all of `samples`, to its end.
+/// A stream over all of `samples`, to its end; if the tables have visual densities, with feedback too.
 pub(crate) fn hear_out(model: &Model, samples: &[i16]) {
-    let mut stream = Stream::new(model, Settings::default());
-    let mut rest = samples;
-    while !rest.is_empty() {
-        rest = &rest[stream.push(rest).0..];
+    let ways = match model.has_visual_densities() {
+        true => &[None, Some(0), Some(1 << 16)][..],
+        false => &[None],
+    };
+    for &feedback in ways {
+        let settings = Settings {
+            feedback,
+            ..Settings::default()
+        };
+        let mut stream = Stream::new(model, settings);
+        let mut rest = samples;
+        while !rest.is_empty() {
+            rest = &rest[stream.push(rest).0..];
+        }
+        while stream.finish().is_some() {}
     }
-    while stream.finish().is_some() {}
 }

@@ -4,6 +4,7 @@
 //! cargo run -p lipstream-tests --example cost               writes docs/cost.md
 //! cargo run -p lipstream-tests --example cost -- --check    fails where a number there has grown by more than 5 %
 //! cargo run -p lipstream-tests --example cost -- --stream TABLES SOUND...    counts a stream of these tables over these sounds
+//! cargo run -p lipstream-tests --example cost -- --scaling MODEL.safetensors SOUND...    the same as sizes and settings change
 //! ```
 //!
 //! Instructions are counted in QEMU (`-icount`): the same on every machine and every run.
@@ -14,6 +15,9 @@
 fn panic(_: &core::panic::PanicInfo) -> ! {
     loop {}
 }
+
+#[cfg(not(target_os = "none"))]
+mod scaling;
 
 #[cfg(not(target_os = "none"))]
 fn main() -> anyhow::Result<()> {
@@ -82,12 +86,18 @@ mod host {
             ["--check"] => true,
             ["--stream", tables, sounds @ ..] if !sounds.is_empty() => {
                 let sounds: Vec<PathBuf> = sounds.iter().map(PathBuf::from).collect();
-                for (name, value) in measure_stream(&root, Path::new(tables), &sounds)? {
+                for (name, value) in measure_stream(&root, Path::new(tables), &sounds, None)? {
                     println!("{name} {value}");
                 }
                 return Ok(());
             }
-            other => bail!("unknown options {other:?}; there are --check and --stream TABLES SOUND..."),
+            ["--scaling", model, sounds @ ..] if !sounds.is_empty() => {
+                let sounds: Vec<PathBuf> = sounds.iter().map(PathBuf::from).collect();
+                return super::scaling::run(&root, Path::new(model), &sounds);
+            }
+            other => bail!(
+                "unknown options {other:?}; there are --check, --stream TABLES SOUND... and --scaling MODEL SOUND..."
+            ),
         };
         let document = root.join("docs/cost.md");
         let measured = TARGETS.map(|target| measure(&root, target));
@@ -97,6 +107,7 @@ mod host {
             &root,
             &root.join("models/grid-s1.tables"),
             &[root.join("data/hello.wav")],
+            None,
         )?;
         if check {
             let text = std::fs::read_to_string(&document).with_context(|| document.display().to_string())?;
@@ -108,8 +119,14 @@ mod host {
         Ok(())
     }
 
-    /// Counts a stream of these tables over these sounds, one after the other, on Cortex-M4.
-    fn measure_stream(root: &Path, tables: &Path, sounds: &[PathBuf]) -> Result<Numbers> {
+    /// Counts a stream of these tables over these sounds, one after the other, on Cortex-M4; the mouth re-estimated with
+    /// this exponent (Q16.16), or mapped.
+    pub(crate) fn measure_stream(
+        root: &Path,
+        tables: &Path,
+        sounds: &[PathBuf],
+        feedback: Option<u32>,
+    ) -> Result<Numbers> {
         let program = build(root, TARGETS[0], "stream_cost")?;
         let folder = tempfile::tempdir()?;
         std::fs::copy(tables, folder.path().join("model.tables"))
@@ -120,6 +137,9 @@ mod host {
             raw.extend(samples.iter().flat_map(|s| s.to_le_bytes()));
         }
         std::fs::write(folder.path().join("sound.raw"), raw)?;
+        if let Some(exponent) = feedback {
+            std::fs::write(folder.path().join("feedback.raw"), exponent.to_le_bytes())?;
+        }
         run(&program, folder.path())
     }
 
