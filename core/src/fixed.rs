@@ -33,12 +33,34 @@ pub fn halves(low: i16, high: i16) -> u32 {
     u32::from(low as u16) | u32::from(high as u16) << 16
 }
 
-/// sum + low·low + high·high of signed halfwords, modulo 2³²: one SMLABB and one SMLATT.
+/// sum + low·low + high·high of signed halfwords, modulo 2³²: one SMLAD where the target has it (`build.rs`).
 #[inline(always)]
 pub fn mul_halves(sum: i32, a: u32, b: u32) -> i32 {
+    #[cfg(smlad)]
+    return smlad(sum, a, b);
+    #[cfg(not(smlad))]
+    return mul_halves_plain(sum, a, b);
+}
+
+/// [`mul_halves`] for every target: what the instruction has to agree with.
+#[inline(always)]
+pub fn mul_halves_plain(sum: i32, a: u32, b: u32) -> i32 {
     let low = i32::from(a as i16).wrapping_mul(i32::from(b as i16));
     let high = ((a as i32) >> 16).wrapping_mul((b as i32) >> 16);
     sum.wrapping_add(low).wrapping_add(high)
+}
+
+/// The compiler has no pattern for it, and the intrinsic is not stable.
+#[cfg(smlad)]
+#[inline(always)]
+#[allow(unsafe_code)]
+fn smlad(mut sum: i32, a: u32, b: u32) -> i32 {
+    // SAFETY: reads and writes these registers and the Q flag. Not `pure`: the order in which the kernels write their products
+    // keeps them in registers.
+    unsafe {
+        core::arch::asm!("smlad {0}, {1}, {2}, {0}", inout(reg) sum, in(reg) a, in(reg) b, options(nomem, nostack));
+    }
+    sum
 }
 
 /// x / 2^shift, rounded to nearest, halves up; |x| must leave room for half a step.

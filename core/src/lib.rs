@@ -32,7 +32,7 @@
 //! A scale a parameter ([`model::Model::parameter_scales`]) makes real units of them; [`wire`] is what goes over a line. The feature
 //! `defmt` derives `defmt::Format`; no feature changes a number.
 #![no_std]
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
 pub mod fixed;
 pub mod frontend;

@@ -1,6 +1,6 @@
 //! The projection: a few numbers of the statics around a frame, by a matrix of i16 mantissas with a shift and an offset a row.
 //!
-//! Two rows share a walk through the statics. Products of halfwords are summed in 32 bits: the mantissas of a row add up to less
+//! Four rows share a walk through the statics. Products of halfwords are summed in 32 bits: the mantissas of a row add up to less
 //! than 2¹⁶, as the checked tables see to it, so that no statics can overflow a sum.
 use crate::fixed::{halves, mul_halves, round_shift_i64, saturate_i16, saturate_i32};
 use crate::model::Model;
@@ -11,9 +11,9 @@ use crate::{N_STATIC, model::SumRow};
 pub const MAX_CONTEXT: usize = N_STATIC * (limit::TAPS + limit::MEANS);
 
 /// Rows that share a walk.
-const ROWS: usize = 2;
+const ROWS: usize = 4;
 /// Words of two halfwords that are unrolled.
-const WORDS: usize = 16;
+const WORDS: usize = 28;
 
 /// The model's projection of `context` (Q7.8, as long as the model's context): Q5.11 for local linear maps, Q5.10 for a
 /// model with a memory; the model's first X numbers are meaningful.
@@ -28,11 +28,11 @@ pub fn project(model: &Model, context: &[i16]) -> [i16; limit::INPUTS] {
     let mut rows = model.projection();
     for to in x.chunks_mut(ROWS) {
         let some: [Option<SumRow>; ROWS] = core::array::from_fn(|_| rows.next());
-        // Where the number of rows is odd, the last one stands for its neighbour too.
-        let [Some(first), second] = some else {
+        // Where rows are missing, the first one stands for them too.
+        let [Some(first), ..] = some else {
             break;
         };
-        let bytes = [first, second.unwrap_or(first)].map(|row| row.weights.bytes());
+        let bytes = some.map(|row| row.unwrap_or(first).weights.bytes());
         for ((to, row), sum) in to.iter_mut().zip(some).zip(dot(bytes, words, last)) {
             if let Some(row) = row {
                 let value = round_shift_i64(i64::from(sum), row.shift) - i64::from(row.offset);
@@ -51,18 +51,19 @@ fn two(sum: i32, weights: &[u8; 4], word: u32) -> i32 {
 
 /// Σ weightᵢ·inputᵢ of each row: inputs in pairs, and one more where their number is odd.
 fn dot(rows: [&[u8]; ROWS], words: &[u32], last: &[i16]) -> [i32; ROWS] {
-    let [(a, a_last), (b, b_last)] = rows.map(|row| row.as_chunks::<4>());
-    let (chunks, rest) = words.as_chunks::<WORDS>();
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<WORDS>(), b.as_chunks::<WORDS>());
+    let rows = rows.map(|row| row.as_chunks::<4>());
+    let chunks = rows.map(|(pairs, _)| pairs.as_chunks::<WORDS>());
+    let (inputs, rest) = words.as_chunks::<WORDS>();
     let mut sums = [0; ROWS];
-    for ((a, b), words) in a.iter().zip(b).zip(chunks) {
-        sums = dot_chunk(sums, a, b, words);
+    let [a, b, c, d] = chunks.map(|(chunks, _)| chunks);
+    for ((((a, b), c), d), words) in a.iter().zip(b).zip(c).zip(d).zip(inputs) {
+        dot_chunk(&mut sums, [a, b, c, d], words);
     }
-    for ((a, b), word) in a_rest.iter().zip(b_rest).zip(rest) {
-        sums = [two(sums[0], a, *word), two(sums[1], b, *word)];
-    }
-    for (sum, row) in sums.iter_mut().zip([a_last, b_last]) {
-        if let ([low, high], [input]) = (row, last) {
+    for ((sum, (_, pairs)), (_, single)) in sums.iter_mut().zip(chunks).zip(rows) {
+        for (pair, word) in pairs.iter().zip(rest) {
+            *sum = two(*sum, pair, *word);
+        }
+        if let ([low, high], [input]) = (single, last) {
             let product = i32::from(i16::from_le_bytes([*low, *high])) * i32::from(*input);
             *sum = sum.wrapping_add(product);
         }
@@ -73,19 +74,21 @@ fn dot(rows: [&[u8]; ROWS], words: &[u32], last: &[i16]) -> [i32; ROWS] {
 /// Adds the products of some words. Out of line and unrolled by hand, so that its registers are its own and all its
 /// addresses constant offsets.
 #[inline(never)]
-fn dot_chunk(
-    mut sums: [i32; ROWS],
-    a: &[[u8; 4]; WORDS],
-    b: &[[u8; 4]; WORDS],
-    words: &[u32; WORDS],
-) -> [i32; ROWS] {
+fn dot_chunk(sums: &mut [i32; ROWS], rows: [&[[u8; 4]; WORDS]; ROWS], words: &[u32; WORDS]) {
+    let [a, b, c, d] = rows;
+    let mut s = *sums;
     macro_rules! add {
         ($($i:literal)*) => {
-            $(sums = [two(sums[0], &a[$i], words[$i]), two(sums[1], &b[$i], words[$i])];)*
+            $(s = [
+                two(s[0], &a[$i], words[$i]),
+                two(s[1], &b[$i], words[$i]),
+                two(s[2], &c[$i], words[$i]),
+                two(s[3], &d[$i], words[$i]),
+            ];)*
         };
     }
-    add!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
-    sums
+    add!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27);
+    *sums = s;
 }
 
 #[cfg(test)]

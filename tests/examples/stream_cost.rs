@@ -40,6 +40,9 @@ mod target {
     static mut MODEL: [u8; MODEL_BYTES] = [0; MODEL_BYTES];
     static mut VIEW: MaybeUninit<Model> = MaybeUninit::uninit();
     static mut STREAM: MaybeUninit<Stream> = MaybeUninit::uninit();
+    /// As firmware makes it for a model with a memory.
+    type MemoryStream = Stream<'static, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
+    static mut MEMORY_STREAM: MaybeUninit<MemoryStream> = MaybeUninit::uninit();
 
     fn read_all(file: &mut File, to: &mut [u8]) -> usize {
         let mut have = 0;
@@ -105,18 +108,19 @@ mod target {
             fail("cannot open model.tables")
         };
         // SAFETY: a program of one thread without interrupts; nothing else names these statics.
-        let (bytes, view, place) = unsafe {
+        let (bytes, view, place, memory_place) = unsafe {
             (
                 &mut *(&raw mut MODEL),
                 &mut *(&raw mut VIEW),
                 &mut *(&raw mut STREAM),
+                &mut *(&raw mut MEMORY_STREAM),
             )
         };
         let size = read_all(&mut file, bytes);
         let Ok(model) = Model::new_checked(&bytes[..size]) else {
             fail("model.tables is no model that this core can run")
         };
-        let model: &Model = view.write(model);
+        let model: &'static Model = view.write(model);
         let feedback = File::open(c"feedback.raw").ok().map(|mut file| {
             let mut exponent = [0; 4];
             read_all(&mut file, &mut exponent);
@@ -126,21 +130,38 @@ mod target {
             feedback,
             ..Settings::default()
         };
-        let stream = place.write(Stream::new(model, settings));
-        let mut frontend = FrontEnd::new(Config {
-            start_mean: model.start_mean(),
-            normalise: true,
-        });
         let Ok(mut sound) = File::open(c"sound.raw") else {
             fail("cannot open sound.raw")
         };
         if model.is_recurrent() {
             stages(model);
+            count(
+                memory_place.write(Stream::sized(model, settings)),
+                model,
+                &mut sound,
+            );
+        } else {
+            count(place.write(Stream::new(model, settings)), model, &mut sound);
         }
+        println!("bytes stream {}", size_of::<Stream>());
+        println!("bytes memory_stream {}", size_of::<MemoryStream>());
+        process::exit(0)
+    }
+
+    /// Every hop of the sound, and the front end's share of it by one of its own.
+    fn count<const TOKENS: usize, const FRAMES: usize>(
+        stream: &mut Stream<TOKENS, FRAMES>,
+        model: &Model,
+        sound: &mut File,
+    ) {
+        let mut frontend = FrontEnd::new(Config {
+            start_mean: model.start_mean(),
+            normalise: true,
+        });
         let mut hop = [0u8; 2 * HOP_SAMPLES];
         let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) =
             (0u32, 0u64, 0, 0u64, 0u64, 0);
-        while read_all(&mut sound, &mut hop) == hop.len() {
+        while read_all(sound, &mut hop) == hop.len() {
             let samples: [i16; HOP_SAMPLES] =
                 core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]]));
             let before = ticks();
@@ -174,12 +195,6 @@ mod target {
         println!("instructions frontend {}", of_frontend / u64::from(hops));
         println!("active mean {}", active / u64::from(hops));
         println!("active most {}", most);
-        println!("bytes stream {}", size_of::<Stream>());
-        println!(
-            "bytes memory_stream {}",
-            size_of::<Stream<{ stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>>()
-        );
-        process::exit(0)
     }
 
     #[panic_handler]

@@ -4,6 +4,7 @@
 //! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.
 #![no_std]
 
+pub mod fixed;
 pub mod frontend;
 pub mod random;
 pub mod stream;
@@ -14,6 +15,9 @@ pub mod wire;
 macro_rules! cases {
     ($each:ident) => {
         $each! {
+            fixed {
+                products_of_halves,
+            }
             frontend {
                 energy,
                 window,

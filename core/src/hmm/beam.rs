@@ -17,26 +17,27 @@ fn bin(best: LogProb, score: LogProb) -> usize {
     ((best.q12().saturating_sub(score.q12()) >> BIN_BITS) as usize).min(N_BINS - 1)
 }
 
-/// The joint states of `scores` within `width` of the best, at most `most` (and `N`) of them, as tokens relative to the
+/// The joint states of `scores` within `width` of the `best` of them, at most `most` (and `N`) of them, as tokens relative to the
 /// best. Whether there were more.
 pub fn prune<const N: usize>(
     scores: &Scores,
+    best: LogProb,
     width: LogProb,
     most: usize,
     tokens: &mut heapless::Vec<Token, N>,
 ) -> bool {
     let most = most.clamp(1, N);
     tokens.clear();
-    let mut best = LogProb::NEVER;
-    scores.visit(|_, score| best = best.max(score));
     if best.is_never() {
         return false;
     }
     let floor = LogProb::from_q12(best.q12().saturating_sub(width.q12())).max(LogProb::FLOOR);
+    let mut bins = Bins::new(best);
     let mut within = 0;
     scores.visit(|state, score| {
         if score >= floor {
             within += 1;
+            bins.add(score);
             // What does not fit shows in the count.
             let _ = tokens.push(relative(state, best, score));
         }
@@ -45,8 +46,7 @@ pub fn prune<const N: usize>(
         return false;
     }
     tokens.clear();
-    let values = scores.states().map(|s| scores.get(s));
-    let mut door = Door::new(best, values.filter(|score| *score >= floor), most);
+    let mut door = bins.door(most);
     scores.visit(|state, score| {
         if score >= floor && door.lets_in(score) {
             // There is room: at most `most` are let in.
@@ -54,6 +54,47 @@ pub fn prune<const N: usize>(
         }
     });
     true
+}
+
+/// How many scores lie how far below the best.
+struct Bins {
+    best: LogProb,
+    counts: [u16; N_BINS],
+}
+
+impl Bins {
+    fn new(best: LogProb) -> Self {
+        Self {
+            best,
+            counts: [0; N_BINS],
+        }
+    }
+
+    #[inline]
+    fn add(&mut self, score: LogProb) {
+        if let Some(count) = self.counts.get_mut(bin(self.best, score)) {
+            *count += 1;
+        }
+    }
+
+    /// The door for at most `most` of these scores.
+    fn door(&self, most: usize) -> Door {
+        let best = self.best;
+        let mut room = most;
+        for (last_bin, count) in self.counts.iter().enumerate() {
+            let count = usize::from(*count);
+            if count > room {
+                return Door { best, last_bin, room };
+            }
+            room -= count;
+        }
+        // Everything fits.
+        Door {
+            best,
+            last_bin: N_BINS,
+            room: 0,
+        }
+    }
 }
 
 /// Lets the best of a number of scores in, whole bins from the best down, of the last bin those that come first.
@@ -67,26 +108,9 @@ pub(super) struct Door {
 impl Door {
     /// At most `most` of `scores`, of which `best` is the best.
     pub(super) fn new(best: LogProb, scores: impl Iterator<Item = LogProb>, most: usize) -> Self {
-        let mut counts = [0u16; N_BINS];
-        for score in scores {
-            if let Some(count) = counts.get_mut(bin(best, score)) {
-                *count += 1;
-            }
-        }
-        let mut room = most;
-        for (last_bin, count) in counts.iter().enumerate() {
-            let count = usize::from(*count);
-            if count > room {
-                return Self { best, last_bin, room };
-            }
-            room -= count;
-        }
-        // Everything fits.
-        Self {
-            best,
-            last_bin: N_BINS,
-            room: 0,
-        }
+        let mut bins = Bins::new(best);
+        scores.for_each(|score| bins.add(score));
+        bins.door(most)
     }
 
     pub(super) fn lets_in(&mut self, score: LogProb) -> bool {
@@ -110,6 +134,21 @@ fn relative(state: JointState, best: LogProb, score: LogProb) -> Token {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Prunes by the best of `scores`.
+    fn prune<const N: usize>(
+        scores: &Scores,
+        width: LogProb,
+        most: usize,
+        tokens: &mut heapless::Vec<Token, N>,
+    ) -> bool {
+        let best = scores
+            .states()
+            .map(|s| scores.get(s))
+            .max()
+            .unwrap_or(LogProb::NEVER);
+        super::prune(scores, best, width, most, tokens)
+    }
 
     fn scores(values: impl IntoIterator<Item = (usize, i32)>) -> Scores {
         let mut scores = Scores::new();

@@ -136,8 +136,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
         let Some(frame) = self.window.advance() else {
             return;
         };
-        emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
-        let cut = prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        let best = emit(self.model, self.acoustic_scale, &scaled, &mut self.scores, frame);
+        let cut = prune(&self.scores, best, self.beam, self.most, &mut frame.tokens);
         self.narrowed = self.narrowed.saturating_add(u32::from(cut));
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
@@ -151,8 +151,8 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Follower<'m, TOKENS, FRAMES> 
             return;
         };
         let fewer = keep_likeliest(&mut self.scores, self.most_phones);
-        emit_inputs(self.model, z, mouth, &mut self.scores);
-        let cut = prune(&self.scores, self.beam, self.most, &mut frame.tokens);
+        let best = emit_inputs(self.model, z, mouth, &mut self.scores);
+        let cut = prune(&self.scores, best, self.beam, self.most, &mut frame.tokens);
         self.narrowed = self.narrowed.saturating_add(u32::from(fewer || cut));
         self.scores.clear();
         self.count = self.count.wrapping_add(1);
@@ -223,17 +223,17 @@ fn held_beam(beam: LogProb) -> LogProb {
 }
 
 /// Adds the log likelihood of `scaled` to every score, and leaves in `frame` those of the audio states that were asked
-/// for, relative to the largest.
+/// for, relative to the largest. Gives the best score.
 fn emit<const TOKENS: usize>(
     model: &Model,
     acoustic_scale: u32,
     scaled: &Scaled,
     scores: &mut Scores,
     frame: &mut Frame<TOKENS>,
-) {
+) -> LogProb {
     // `NEVER`: not asked for yet.
     let mut logs = [LogProb::NEVER; MAX_AUDIO_STATES];
-    let mut best = LogProb::NEVER;
+    let (mut best, mut best_log) = (LogProb::NEVER, LogProb::NEVER);
     scores.for_each(|state, score| {
         let audio = state.audio();
         let Some(log) = logs.get_mut(audio) else {
@@ -241,23 +241,26 @@ fn emit<const TOKENS: usize>(
         };
         if log.is_never() {
             *log = log_likelihood(model, audio, scaled, acoustic_scale);
-            best = best.max(*log);
+            best_log = best_log.max(*log);
         }
         *score = score.times(*log);
+        best = best.max(*score);
     });
     for (to, log) in frame.emission.iter_mut().zip(&logs) {
-        *to = log.over(best).to_score();
+        *to = log.over(best_log).to_score();
     }
+    best
 }
 
-/// Adds the log emissions of a model with a memory to every score.
-fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) {
+/// Adds the log emissions of a model with a memory to every score. Gives the best score.
+fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) -> LogProb {
     let audio_rows = model.rows(Matrix::AUDIO, z.len());
     let visual_rows = model.rows(Matrix::VISUAL, mouth.len());
     let (z, mouth) = (Inputs::new(z), Inputs::new(mouth));
     // `NEVER`: not asked for yet.
     let mut audio_logs = [LogProb::NEVER; MAX_AUDIO_STATES];
     let mut visual_logs = [LogProb::NEVER; N_VISUAL_STATES];
+    let mut best = LogProb::NEVER;
     let evaluate = |log: &mut LogProb, rows: &Rows, state: usize, inputs: &Inputs| {
         if log.is_never() {
             let value = rows::row(rows, state, inputs);
@@ -277,7 +280,9 @@ fn emit_inputs(model: &Model, z: &[i16], mouth: &[i16], scores: &mut Scores) {
         let heard = evaluate(heard, &audio_rows, audio, &z);
         let seen = evaluate(seen, &visual_rows, visual, &mouth);
         *score = score.times(heard).times(seen);
+        best = best.max(*score);
     });
+    best
 }
 
 /// Log emissions are held to ±2¹³ bits.

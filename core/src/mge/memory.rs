@@ -5,7 +5,7 @@
 use super::rate::rate;
 use super::rows::{self, Inputs};
 use crate::fixed::{mul_high_rounded, round_shift, saturate_i16};
-use crate::hmm::gates::Gates;
+use crate::hmm::gates::{Gates, N_GATES};
 use crate::model::field::{Matrix, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, limit};
 use crate::model::{Gate, Model};
 use crate::parameters::MAX_PARAMETERS;
@@ -24,29 +24,48 @@ pub struct Memory {
     mouth: [i16; MAX_PARAMETERS],
 }
 
-/// Sums over the gates of a frame, Q11.20; rates Q0.32.
+/// Sums over the gates of a frame, Q11.20; rates Q0.32, the bits of a u32.
 struct Sums {
     gain: [i32; limit::MEMORY],
     drive: [i32; limit::MEMORY],
-    rate: [u32; limit::MEMORY],
+    rate: [i32; limit::MEMORY],
     offset: [i32; MAX_PARAMETERS],
 }
 
 impl Sums {
-    fn add(&mut self, gate: &Gate, weight: u32) {
-        let [gain, drive, offset] = gate.scale.map(|scale| unit(scale, weight));
-        each(&mut self.gain, gate.gain, |to, code| {
-            to + gain * i32::from(code as i8)
-        });
-        each(&mut self.drive, gate.drive, |to, code| {
-            to + drive * i32::from(code as i8)
-        });
-        each(&mut self.offset, gate.offset, |to, code| {
-            to + offset * i32::from(code as i8)
-        });
+    const fn new() -> Self {
+        Self {
+            gain: [0; limit::MEMORY],
+            drive: [0; limit::MEMORY],
+            rate: [0; limit::MEMORY],
+            offset: [0; MAX_PARAMETERS],
+        }
+    }
+
+    /// The states of one chain that speak: all own the same tables. Up to three of them share a walk.
+    fn add<'g>(&mut self, gates: impl Iterator<Item = (Gate<'g>, u32)>) {
+        let gates: heapless::Vec<_, N_GATES> = gates.collect();
+        let (threes, rest) = gates.as_chunks();
+        for [a, b, c] in threes {
+            self.add_some([a, b, c]);
+        }
+        match rest {
+            [a] => self.add_some([a]),
+            [a, b] => self.add_some([a, b]),
+            _ => {}
+        }
+    }
+
+    fn add_some<const N: usize>(&mut self, gates: [&(Gate, u32); N]) {
+        let signed = |code: u8| i32::from(code as i8);
+        let unit = |of: usize| gates.map(|(gate, weight)| unit(gate.scale[of], *weight));
+        add(&mut self.gain, gates.map(|g| g.0.gain), unit(0), signed);
+        add(&mut self.drive, gates.map(|g| g.0.drive), unit(1), signed);
+        add(&mut self.offset, gates.map(|g| g.0.offset), unit(2), signed);
         // The weights of the chain that owns the rates add up to 2¹⁶ at most, a rate is below 2¹⁶: below 2³².
-        each(&mut self.rate, gate.rate, |to, code| {
-            to.wrapping_add(weight * rate(code))
+        let weights = gates.map(|g| g.1 as i32);
+        add(&mut self.rate, gates.map(|g| g.0.rate), weights, |code| {
+            rate(code) as i32
         });
     }
 }
@@ -60,18 +79,42 @@ fn unit(scale: i32, weight: u32) -> i32 {
     unit.clamp(-(1 << 20), 1 << 20)
 }
 
-/// Replaces every number by what `new` makes of it and its code, four at a time.
+/// Numbers that are unrolled.
+const STEP: usize = 24;
+
+/// Adds Σ unit·worth(code) to every number, by its codes, modulo 2³².
 #[inline(always)]
-fn each<T: Copy>(to: &mut [T], codes: &[u8], new: impl Fn(T, u8) -> T) {
-    let (codes, codes_rest) = codes.as_chunks::<4>();
-    let (fours, to_rest) = to
-        .split_at_mut_checked(4 * codes.len())
-        .unwrap_or((&mut [], &mut []));
-    for (to, [a, b, c, d]) in fours.as_chunks_mut::<4>().0.iter_mut().zip(codes) {
-        *to = [new(to[0], *a), new(to[1], *b), new(to[2], *c), new(to[3], *d)];
+fn add<const N: usize>(to: &mut [i32], codes: [&[u8]; N], units: [i32; N], worth: impl Fn(u8) -> i32) {
+    let steps = codes.map(|c| c.as_chunks::<STEP>());
+    let n = steps.iter().fold(to.len() / STEP, |n, c| n.min(c.0.len()));
+    let (to, to_rest) = to.split_at_mut_checked(STEP * n).unwrap_or((&mut [], &mut []));
+    for (i, to) in to.as_chunks_mut::<STEP>().0.iter_mut().enumerate() {
+        add_step(
+            to,
+            steps.map(|s| s.0.get(i).unwrap_or(&[0; STEP])),
+            &units,
+            &worth,
+        );
     }
-    for (to, code) in to_rest.iter_mut().zip(codes_rest) {
-        *to = new(*to, *code);
+    for (unit, (_, codes)) in units.iter().zip(steps) {
+        for (to, code) in to_rest.iter_mut().zip(codes) {
+            *to = to.wrapping_add(unit.wrapping_mul(worth(*code)));
+        }
+    }
+}
+
+/// Out of line, so that its registers are its own and all its addresses constant offsets.
+#[inline(never)]
+fn add_step<const N: usize>(
+    to: &mut [i32; STEP],
+    codes: [&[u8; STEP]; N],
+    units: &[i32; N],
+    worth: &impl Fn(u8) -> i32,
+) {
+    for i in 0..STEP {
+        for k in 0..N {
+            to[i] = to[i].wrapping_add(units[k].wrapping_mul(worth(codes[k][i])));
+        }
     }
 }
 
@@ -106,18 +149,11 @@ impl Memory {
         audio: &Gates,
         visual: &Gates,
     ) -> heapless::Vec<i16, MAX_PARAMETERS> {
-        let mut sums = Sums {
-            gain: [0; limit::MEMORY],
-            drive: [0; limit::MEMORY],
-            rate: [0; limit::MEMORY],
-            offset: [0; MAX_PARAMETERS],
-        };
-        for (state, weight) in audio.iter() {
-            sums.add(&model.audio_gate(state), weight);
-        }
-        for (state, weight) in visual.iter() {
-            sums.add(&model.visual_gate(state), weight);
-        }
+        let mut sums = Sums::new();
+        let heard = |(state, weight)| (model.audio_gate(state), weight);
+        sums.add(audio.iter().map(heard));
+        let seen = |(state, weight)| (model.visual_gate(state), weight);
+        sums.add(visual.iter().map(seen));
         let memory = &mut self.h;
         let heard = Inputs::new(z);
         rows::product(&model.blocks(Matrix::DRIVE, z.len()), &heard, |i, d| {
@@ -135,7 +171,7 @@ impl Memory {
             // Both below 2²⁸, h within as much: it never leaves where its targets are.
             let target = driven + (*r >> (SUM_FRACTION_BITS - MEMORY_FRACTION_BITS));
             let way = target - *h;
-            *h += mul_high_rounded(way, (*rate >> 1) as i32) << 1;
+            *h += mul_high_rounded(way, (*rate as u32 >> 1) as i32) << 1;
         });
         let mut read = [0; limit::MEMORY];
         for (to, h) in read.iter_mut().zip(&self.h) {

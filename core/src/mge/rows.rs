@@ -1,7 +1,7 @@
 //! Products of i8 matrices with 16-bit vectors.
 //!
-//! A weight w is stored as w + 128, so that two of a word's four weights become two halfwords by one AND, and a product of
-//! halfwords with addition is one instruction on Cortex-M4; 128·Σinput is taken off at the start. Two layouts: row by row
+//! A weight w is stored as w + 128, so that two of a word's four weights become two halfwords by one AND; two products of
+//! halfwords and their addition are one instruction on Cortex-M4 ([`mul_halves`]); 128·Σinput is taken off at the start. Two layouts: row by row
 //! (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of which all
 //! are wanted and share a walk through the inputs, [`product`].
 use crate::fixed::{halves, mul_halves, mul_high_rounded, round_shift_i64, saturate_i32};
@@ -126,7 +126,7 @@ pub fn product(rows: &Blocks, inputs: &Inputs, mut out: impl FnMut(usize, i32)) 
 
 /// Σ weight·input of a block's four rows. The sums are below 2³¹ (256 products of 2⁷ · 2¹⁵), what they pass through on the
 /// way need not be: it is computed modulo 2³².
-#[inline]
+#[inline(never)]
 fn dot_block(block: &[[u8; BLOCK * BLOCK]], inputs: &[[u32; 2]], start: i32) -> [i32; BLOCK] {
     let mask = mask();
     let mut sums = [start; BLOCK];
