@@ -63,6 +63,7 @@ fn main() -> Result<()> {
     let all = Settings {
         most: Some(u16::MAX),
         phones: Some(u16::MAX),
+        settle: Some(false),
         ..Settings::default()
     };
     let steps = [
@@ -89,7 +90,15 @@ fn main() -> Result<()> {
         ),
         ("… as exported", all),
         ("… and its bound on states", Settings { most: None, ..all }),
-        ("… and on phones: the device", Settings::default()),
+        (
+            "… and on phones",
+            Settings {
+                most: None,
+                phones: None,
+                ..all
+            },
+        ),
+        ("… and settled: the device", Settings::default()),
     ];
     let sounds = clips
         .iter()

@@ -16,6 +16,7 @@ use crate::hmm::convert::{Follower, Lag, convert, smooth, viseme_weights};
 use crate::hmm::inversion::Inverter;
 use crate::mge::live;
 use crate::mge::model::MgeModel;
+use crate::mge::settle::settle;
 use crate::model::{EmSettings, Model};
 use crate::phones::VISEMES;
 use crate::reference::{self, Normalisation};
@@ -41,6 +42,8 @@ pub struct RunSettings {
     pub feedback: Option<f64>,
     /// How much of the future may be waited for; all that the model can use where none is given.
     pub profile: Option<Profile>,
+    /// Whether a mouth that hardly moves is followed slowly; models trained on the error of their mouth only.
+    pub settle: Option<bool>,
 }
 
 /// A model made ready.
@@ -139,7 +142,11 @@ impl Engine {
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 let own = model.parameters.shape.context.look_ahead();
                 let ahead = with.profile.and_then(|p| Settings::of(p).look_ahead);
-                let said = live::convert_within(model, observations.view(), ahead.map_or(own, usize::from));
+                let mut said =
+                    live::convert_within(model, observations.view(), ahead.map_or(own, usize::from));
+                if with.settle.unwrap_or(true) {
+                    settle(&mut said.parameters, &model.deviation);
+                }
                 Ok(Converted {
                     parameters: said.parameters,
                     visemes: said.visemes,
@@ -195,6 +202,7 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
         feedback: feedback.transpose()?,
         lag: with.lag.or(own.lag),
         beam: beam.transpose()?,
+        settle: with.settle,
         ..own
     })
 }

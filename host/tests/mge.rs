@@ -11,6 +11,7 @@ use lipstream::mge::model::MgeModel;
 use lipstream::mge::parameters::{Feedback, GROUPS, Gate};
 use lipstream::mge::pass::{Masks, Tape};
 use lipstream::mge::settings::Settings;
+use lipstream::mge::settle::settle;
 use lipstream::mge::step::Net;
 use lipstream::mge::store::Store;
 use lipstream::mge::train::train_on;
@@ -297,13 +298,14 @@ fn a_file_gives_the_model_back() {
 }
 
 /// The device's arithmetic on whole LSBs of Q7.8, to the end of the sound.
-fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16) -> Vec<ParameterFrame> {
+fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16, settles: bool) -> Vec<ParameterFrame> {
     let tables = Tables::new_checked(tables).unwrap();
     // Without beam and bound: what is compared is the arithmetic.
     let settings = ConverterSettings {
         beam: Some(LogProb::from_q12(60 << 12)),
         most: Some(384),
         look_ahead: Some(look_ahead),
+        settle: Some(settles),
         ..ConverterSettings::default()
     };
     let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
@@ -340,19 +342,23 @@ fn fixed_point_follows_the_floats() {
             let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
             let heard = raw.mapv(|v| (v * 256.0).round() as i16);
             // The whole clip, and sounds shorter than the look-ahead.
-            for (length, ahead) in [
-                (heard.nrows(), 8),
-                (heard.nrows(), 3),
-                (1, 8),
-                (2, 3),
-                (8, 8),
-                (9, 6),
-                (30, 8),
+            for (length, ahead, settles) in [
+                (heard.nrows(), 8, false),
+                (heard.nrows(), 8, true),
+                (heard.nrows(), 3, false),
+                (1, 8, true),
+                (2, 3, false),
+                (8, 8, true),
+                (9, 6, false),
+                (30, 8, true),
             ] {
                 let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
                 let statics = heard.mapv(|v| f32::from(v) / 256.0);
-                let floats = live::convert_within(&model, statics.view(), ahead);
-                let said = fixed(&tables, &heard, ahead as u16);
+                let mut floats = live::convert_within(&model, statics.view(), ahead);
+                if settles {
+                    settle(&mut floats.parameters, &model.deviation);
+                }
+                let said = fixed(&tables, &heard, ahead as u16, settles);
                 assert_eq!(said.len(), length);
                 for (t, frame) in said.iter().enumerate() {
                     assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));

@@ -1,4 +1,5 @@
 //! What the shipped model's mouth does where nobody speaks: after speech, in noise, breath, clicks and hum.
+//! `cargo test -p lipstream --test silence -- --nocapture` prints it (docs/models.md).
 use lipstream::audio;
 use lipstream::engine::stream;
 use lipstream::evaluate::gap::Lips;
@@ -34,25 +35,34 @@ fn images(space: &MouthSpace, parameters: &Array2<f32>) -> Array4<u8> {
     out
 }
 
-/// `sound` through the device's stream, drawn; lips are learnt on the mouths of [`speech`].
-fn watch(sound: &[i16]) -> Mouth {
-    let tables = Model::new_checked(TABLES).unwrap();
-    let tensors = Tensors::parse(MODEL, "the shipped model").unwrap();
-    let space = MouthSpace::load(&tensors).unwrap();
-    let say = |samples: &[i16]| stream(&tables, samples, Settings::default()).unwrap().parameters;
-    let lips = Lips::learn(images(&space, &say(&speech())).view()).expect("lips in the drawn mouth");
-    let said = say(sound);
-    let motion = (1..said.nrows())
+/// How far the parameters move from frame to frame.
+fn motion(said: &Array2<f32>) -> Vec<f32> {
+    (1..said.nrows())
         .map(|t| {
             let step = &said.row(t) - &said.row(t - 1);
             step.dot(&step).sqrt()
         })
-        .collect();
+        .collect()
+}
+
+/// `sound` through the device's stream.
+fn say(sound: &[i16], settings: Settings) -> Array2<f32> {
+    let tables = Model::new_checked(TABLES).unwrap();
+    stream(&tables, sound, settings).unwrap().parameters
+}
+
+/// `sound` through the device's stream, drawn; lips are learnt on the mouths of [`speech`].
+fn watch(sound: &[i16]) -> Mouth {
+    let tensors = Tensors::parse(MODEL, "the shipped model").unwrap();
+    let space = MouthSpace::load(&tensors).unwrap();
+    let said_in_speech = say(&speech(), Settings::default());
+    let lips = Lips::learn(images(&space, &said_in_speech).view()).expect("lips in the drawn mouth");
+    let said = say(sound, Settings::default());
     Mouth {
         gap: lips
             .gaps(images(&space, &said).view())
             .expect("lips in every picture"),
-        motion,
+        motion: motion(&said),
         closed_below: lips.closed_below(),
     }
 }
@@ -91,17 +101,17 @@ fn no_speech(rng: &mut Pcg64) -> [(&'static str, Vec<i16>, f32); 6] {
         }
     };
     [
-        ("digital silence", vec![0; LENGTH], 0.1),
-        ("quiet hiss", noise(LENGTH, 30.0, rng), 0.5),
-        ("loud hiss", noise(LENGTH, 1_000.0, rng), 0.5),
-        ("breath", breath, 0.5),
-        ("clicks", (0..LENGTH).map(click).collect(), 0.5),
+        ("digital silence", vec![0; LENGTH], 0.06),
+        ("quiet hiss", noise(LENGTH, 30.0, rng), 0.15),
+        ("loud hiss", noise(LENGTH, 1_000.0, rng), 0.15),
+        ("breath", breath, 0.2),
+        ("clicks", (0..LENGTH).map(click).collect(), 0.35),
         (
             "hum of 50 and 150 Hz",
             (0..LENGTH)
                 .map(|n| (500.0 * tau(50.0, n) + 250.0 * tau(150.0, n)) as i16)
                 .collect(),
-            0.2,
+            0.1,
         ),
     ]
 }
@@ -119,6 +129,9 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
     let rng = &mut Pcg64::seed_from_u64(5);
     let speech = speech();
     let talking = mean(&watch(&speech).motion);
+    println!(
+        "where the mouth is from 200 ms on: widest gap as a share of what counts as open, motion as a share of speech's, unsettled"
+    );
     for (name, sound, share) in no_speech(rng) {
         for before in [&speech[..], &[]] {
             let mouth = watch(&[before, &sound].concat());
@@ -130,6 +143,16 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
             } else {
                 "after speech"
             };
+            let unsettled = Settings {
+                settle: Some(false),
+                ..Settings::default()
+            };
+            let unsettled = motion(&say(&[before, &sound].concat(), unsettled));
+            println!(
+                "{name} {when}: {:.2} {moved:.3} {:.3}",
+                widest / mouth.closed_below,
+                mean(&unsettled[from..]) / talking
+            );
             assert!(
                 widest < mouth.closed_below,
                 "{name} {when}: a gap of {widest} px, closed is below {}",

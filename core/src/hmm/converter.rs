@@ -11,6 +11,7 @@ use crate::logmath::LogProb;
 use crate::mge::context::{Means, project};
 use crate::mge::memory::Memory;
 use crate::mge::occupancy::Occupancy;
+use crate::mge::settle::settle;
 use crate::model::Model;
 use crate::model::field::limit;
 use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
@@ -45,6 +46,9 @@ pub struct Settings {
     /// held to 4; 0 is EM without feedback. Models without visual densities keep their way. The lag is held to the
     /// window's room less one frame.
     pub feedback: Option<u32>,
+    /// Whether a mouth that hardly moves is followed slowly (see [`crate::mge::settle`]); of a model with a memory only, and the
+    /// default there.
+    pub settle: Option<bool>,
 }
 
 impl Settings {
@@ -59,6 +63,7 @@ impl Settings {
             most: None,
             phones: None,
             feedback: None,
+            settle: None,
         };
         match profile {
             // 30 ms and half a window; without a memory the least delay that observations with ΔΔ and the maps allow.
@@ -106,6 +111,7 @@ struct Run {
     acoustic_scale: u32,
     /// Exponent of the mouth's likelihood where it feeds back.
     feedback: Option<u32>,
+    settle: bool,
 }
 
 impl Run {
@@ -118,6 +124,7 @@ impl Run {
         Self {
             lag: lag.min(room),
             feedback: feedback.map(|exponent| exponent.min(limit::ACOUSTIC_SCALE)),
+            settle: settings.settle.unwrap_or(true),
             ahead: match settings.look_ahead {
                 _ if feedback.is_some() => 0,
                 Some(hops) if model.is_recurrent() => usize::from(hops).min(own),
@@ -149,7 +156,7 @@ pub struct Converter<'m, const TOKENS: usize, const FRAMES: usize> {
     given: u32,
     /// Mapped frames that are still to be given out: frame `given` and its successor.
     mapped_frames: heapless::Deque<Raw, 2>,
-    /// Values of frame `given` − 1 before averaging.
+    /// Values of frame `given` − 1: before averaging, or as they were given out where the mouth settles.
     before: heapless::Vec<i16, MAX_PARAMETERS>,
     ended: bool,
 }
@@ -291,7 +298,11 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Converter<'m, TOKENS, FRAMES>
         let occupancy = Occupancy::of(model, self.follower.active());
         let audio = Gates::choose(&occupancy.audio);
         let visual = Gates::choose(&occupancy.visual);
-        let values = self.memory.step(model, z, &audio, &visual);
+        let mut values = self.memory.step(model, z, &audio, &visual);
+        if self.run.settle {
+            settle(&self.before, &mut values);
+            self.before.clone_from(&values);
+        }
         self.numbered(values, viseme_weights(&occupancy.visual))
     }
 

@@ -10,6 +10,7 @@
 //! w = Σγ G,  r = Σγ R,  λ = Σγ Λ                                 [`memory`]
 //! h_t = h_{t−1} + λ∘(V_d z_t ∘ w + r − h_{t−1})
 //! ŷ_t = W₀ z_t + b₀ + Σγ B + O h_t
+//! s_t = s_{t−1} + k_t·(ŷ_t − s_{t−1})                            [`settle`]
 //! ```
 //!
 //! V is in i16, as its columns are strongly correlated; every other matrix in i8 ([`rows`]). Sums over states take the
@@ -20,3 +21,4 @@ pub mod memory;
 pub mod occupancy;
 pub mod rate;
 pub mod rows;
+pub mod settle;

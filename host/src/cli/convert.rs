@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// 4); likelihood-trained models only
     #[arg(long, value_name = "EXPONENT")]
     feedback: Option<f64>,
+    /// Show every movement at once, the quiver of a mouth at rest too (models trained on the error of their mouth)
+    #[arg(long)]
+    no_settling: bool,
 }
 
 /// Delay profiles (DESIGN section 5).
@@ -70,6 +73,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         beam_bits: args.beam,
         feedback: args.feedback,
         profile: args.profile.map(Profile::of),
+        settle: args.no_settling.then_some(false),
     };
     let converted = engine.convert(&sound.samples, &with)?;
     if converted.parameters.nrows() == 0 {
