@@ -71,12 +71,21 @@ fn dot(rows: [&[u8]; ROWS], words: &[u32], last: &[i16]) -> [i32; ROWS] {
     sums
 }
 
-/// Adds the products of some words. Out of line and unrolled by hand, so that its registers are its own and all its
-/// addresses constant offsets.
+/// Adds the products of some words. Out of line, so that its registers are its own and all its addresses constant offsets.
 #[inline(never)]
 fn dot_chunk(sums: &mut [i32; ROWS], rows: [&[[u8; 4]; WORDS]; ROWS], words: &[u32; WORDS]) {
+    if !cfg!(smlad) {
+        // Other processors have the registers for one row, or do better by themselves.
+        for (sum, row) in sums.iter_mut().zip(rows) {
+            for (weights, word) in row.iter().zip(words) {
+                *sum = two(*sum, weights, *word);
+            }
+        }
+        return;
+    }
     let [a, b, c, d] = rows;
     let mut s = *sums;
+    // Unrolled by hand: the compiler does not.
     macro_rules! add {
         ($($i:literal)*) => {
             $(s = [

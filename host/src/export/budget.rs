@@ -4,12 +4,13 @@
 //! mouth parameters, a beam of B bits):
 //!
 //! ```text
-//! 44,000 + 2.64·C·Z + 2.2·(H·Z + (Z + H)·D) + 33·(3H + D) + 45·H + 1,600·(39 + 3·(B − 11))·(0.6 + 0.4·Z/72)
+//! 57,000 + 1.72·C·Z + 1.6·(H·Z + (Z + H)·D) + 18·(3H + D) + 30·H + 1,360·active
+//! active = 39 + 3.5·(B − 11) from 11 bits on, 39 + 6·(B − 11) below
 //! ```
 //!
-//! front end and what does not depend on sizes; projection; products of i8 matrices; what three states of each chain bring;
-//! the memory; following the states, of which 39 are active in speech (25 for the talker of the training, 53 for strangers). Within
-//! 2 % of what was counted for four models (`docs/cost.md`).
+//! front end and what does not depend on sizes; projection; products of i8 matrices; what the states of each chain bring;
+//! the memory; following the joint states, of which 39 are active in speech at 11 bits (25 for the talker of the training, 53 for
+//! strangers). Within 3 % of what was counted for three models at five beams (`docs/cost.md`).
 use crate::mge::model::MgeModel;
 
 /// A model under a beam.
@@ -43,13 +44,9 @@ pub fn instructions(model: &MgeModel, beam_bits: f64) -> f64 {
         of(shape.outputs),
         of(shape.context.size()),
     );
-    let active = (39.0 + 3.0 * (beam_bits - 11.0)).clamp(5.0, 80.0);
-    44_000.0
-        + 2.64 * c * z
-        + 2.2 * (h * z + (z + h) * d)
-        + 33.0 * (3.0 * h + d)
-        + 45.0 * h
-        + 1_600.0 * active * (0.6 + 0.4 * z / 72.0)
+    let wider = beam_bits - 11.0;
+    let active = (39.0 + wider * if wider < 0.0 { 6.0 } else { 3.5 }).clamp(5.0, 80.0);
+    57_000.0 + 1.72 * c * z + 1.6 * (h * z + (z + h) * d) + 18.0 * (3.0 * h + d) + 30.0 * h + 1_360.0 * active
 }
 
 impl Candidate {
