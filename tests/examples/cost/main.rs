@@ -1,4 +1,4 @@
-//! Measures what the front end and a whole stream cost on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
+//! Measures what the front end, a whole stream and the firmware cost on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
 //!
 //! ```text
 //! cargo run -p lipstream-tests --example cost               writes docs/cost.md
@@ -17,6 +17,8 @@ fn panic(_: &core::panic::PanicInfo) -> ! {
 }
 
 #[cfg(not(target_os = "none"))]
+mod firmware;
+#[cfg(not(target_os = "none"))]
 mod scaling;
 
 #[cfg(not(target_os = "none"))]
@@ -32,6 +34,8 @@ mod host {
 
     use anyhow::{Context, Result, bail};
     use object::{Object, ObjectSection, ObjectSymbol};
+
+    use super::firmware;
 
     const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 
@@ -75,7 +79,7 @@ mod host {
     /// Most instructions of a stream's hop over the shipped sound, on average and at worst.
     const MOST_OF_STREAM: (u64, u64) = (200_000, 350_000);
 
-    type Numbers = BTreeMap<String, u64>;
+    pub(crate) type Numbers = BTreeMap<String, u64>;
 
     pub(crate) fn main() -> Result<()> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -109,11 +113,12 @@ mod host {
             &[root.join("data/hello.wav")],
             None,
         )?;
+        let firmware = firmware::measure(&root)?;
         if check {
             let text = std::fs::read_to_string(&document).with_context(|| document.display().to_string())?;
-            return compare(&text, &columns, &stream);
+            return compare(&text, &columns, &stream, &firmware);
         }
-        std::fs::write(&document, render(&columns, &stream))
+        std::fs::write(&document, render(&columns, &stream, &firmware))
             .with_context(|| document.display().to_string())?;
         println!("wrote docs/cost.md");
         Ok(())
@@ -240,7 +245,7 @@ mod host {
         format!("| {label} | {} |\n", values.join(" | "))
     }
 
-    fn render(columns: &[Numbers], stream: &Numbers) -> String {
+    fn render(columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> String {
         let mut table =
             String::from("| | Cortex-M4 (`thumbv7em`) | Cortex-M0+ (`thumbv6m`) |\n|---|---|---|\n");
         for (name, label) in ROWS {
@@ -250,17 +255,25 @@ mod host {
         for (name, label) in STREAM_ROWS {
             of_stream += &row(name, label, std::slice::from_ref(stream));
         }
+        let mut of_firmware = String::from("| | bytes |\n|---|---|\n");
+        for (name, label) in firmware::ROWS {
+            of_firmware += &row(name, label, std::slice::from_ref(firmware));
+        }
         include_str!("cost.md.in")
+            .replace("FIRMWARE\n", &of_firmware)
             .replace("STREAM\n", &of_stream)
             .replace("TABLE\n", &table)
     }
 
     /// Every number of the committed table, against what was measured now.
-    fn compare(text: &str, columns: &[Numbers], stream: &Numbers) -> Result<()> {
+    fn compare(text: &str, columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> Result<()> {
         let mut worse = Vec::new();
         let rows = ROWS.iter().map(|row| (row, columns));
         let of_stream = STREAM_ROWS.iter().map(|row| (row, std::slice::from_ref(stream)));
-        for ((name, label), columns) in rows.chain(of_stream) {
+        let of_firmware = firmware::ROWS
+            .iter()
+            .map(|row| (row, std::slice::from_ref(firmware)));
+        for ((name, label), columns) in rows.chain(of_stream).chain(of_firmware) {
             let line = text
                 .lines()
                 .find(|line| line.starts_with(&format!("| {label} |")))
@@ -294,6 +307,14 @@ mod host {
             worse.push(format!(
                 "a hop of the stream costs {of_stream:?} instructions on average and at worst, more than {MOST_OF_STREAM:?}"
             ));
+        }
+        for (name, most) in firmware::MOST {
+            if firmware[name] > most {
+                worse.push(format!(
+                    "{name} of the firmware: {}, more than {most}",
+                    firmware[name]
+                ));
+            }
         }
         if !worse.is_empty() {
             bail!("{}", worse.join("\n"));
