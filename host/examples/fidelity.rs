@@ -1,34 +1,107 @@
-//! What the device costs a model trained by minimum generation error, step by step: sums of probabilities by its table (in floats),
-//! tables of few bits (weights only, in floats), integers, beam, bounds on the work of a frame; and what a cold start in mid-clip costs.
+//! What the device costs a model, step by step.
 //!
-//!     cargo run --release -p lipstream --example fidelity -- FOLDER MGE.safetensors [train|val|test]
+//!     cargo run --release -p lipstream --example fidelity -- FOLDER MODEL.safetensors [train|val|test]
+//!
+//! Trained by minimum generation error: sums of probabilities by the core's table (in floats), tables of few bits (weights only, in
+//! floats), integers, beam, bounds on the work of a frame, settling; and what a cold start in mid-clip costs. Likelihood-trained: lag,
+//! integers, beam, room for joint states.
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 use lipstream::audio;
-use lipstream::engine::stream;
+use lipstream::engine::{stream, stream_sized};
 use lipstream::evaluate::metrics::Score;
-use lipstream::evaluate::truths;
-use lipstream::export::{MgeSettings, export_mge};
+use lipstream::evaluate::{Truth, truths};
+use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::features::{FeatureFolder, Split};
+use lipstream::hmm::convert::{Lag, convert};
 use lipstream::mge::live;
 use lipstream::mge::log_sums::Sums;
 use lipstream::mge::model::MgeModel;
 use lipstream::mge::rounding::rounded;
+use lipstream::model::Model;
+use lipstream::tensors::Tensors;
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
 use lipstream_core::model::Model as Tables;
-use lipstream_core::stream::Settings;
+use lipstream_core::model::field::limit;
+use lipstream_core::stream::{FRAMES, Settings, TOKENS};
 use ndarray::s;
+use rayon::prelude::*;
 
 fn main() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [folder, model, rest @ ..] = arguments.as_slice() else {
-        bail!("give a feature folder and a model trained with --train mge")
+        bail!("give a feature folder and a model")
     };
     let split = Split::named(rest.first().map_or("test", String::as_str))?;
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
-    let model = MgeModel::read(&PathBuf::from(model))?;
+    let path = PathBuf::from(model);
     let clips = truths(&folder, split)?;
+    let sounds = clips.iter().map(|clip| {
+        let sound = audio::read(&folder.wav_path(&clip.clip.id))?;
+        Ok(sound.samples)
+    });
+    let sounds: Vec<Vec<i16>> = sounds.collect::<Result<_>>()?;
+    if MgeModel::is_kind(&Tensors::read(&path)?) {
+        of_mge(&MgeModel::read(&path)?, &clips, &sounds)
+    } else {
+        of_likelihood(&Model::read(&path)?, &clips, &sounds)
+    }
+}
+
+fn show(name: &str, score: Score) {
+    println!("{name}: AMSE {:.1}, ACC {:.4}", score.amse(), score.acc());
+}
+
+fn bits(bits: i32) -> Option<LogProb> {
+    Some(LogProb::from_q12(bits << FRACTION_BITS))
+}
+
+/// Every joint state that there can be.
+const ALL: usize = 1872;
+
+fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> {
+    let lag = model.following.lag;
+    for (name, lag) in [
+        ("floats, the whole utterance", Lag::Whole),
+        ("floats, the model's lag", Lag::Frames(lag)),
+    ] {
+        let said = clips.par_iter().map(|clip| convert(model, &clip.audio, lag));
+        let said: Vec<_> = said.collect::<Result<_>>()?;
+        let mut score = Score::new(model.visual_size());
+        for (clip, (parameters, _)) in clips.iter().zip(&said) {
+            score.add(&clip.visual, parameters);
+        }
+        show(name, score);
+    }
+    let tables = export(model, &ExportSettings::of(model))?.bytes;
+    let tables = Tables::new_checked(&tables)?;
+    let none = LogProb::from_q12(limit::BEAM);
+    let device = |room: usize, beam: Option<LogProb>| -> Result<Score> {
+        let settings = Settings {
+            beam,
+            ..Settings::default()
+        };
+        let said = sounds.par_iter().map(|sound| match room {
+            ALL => stream_sized::<ALL, FRAMES>(&tables, sound, settings),
+            _ => stream(&tables, sound, settings),
+        });
+        let said: Vec<_> = said.collect::<Result<_>>()?;
+        let mut score = Score::new(model.visual_size());
+        for (clip, said) in clips.iter().zip(&said) {
+            score.add(&clip.visual, &said.parameters);
+        }
+        Ok(score)
+    };
+    show("integers, no beam", device(ALL, Some(none))?);
+    for width in [32, 24, 20, 16] {
+        show(&format!("… {width} bits"), device(ALL, bits(width))?);
+    }
+    show("as exported, and its room: the device", device(TOKENS, None)?);
+    Ok(())
+}
+
+fn of_mge(model: &MgeModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> {
     // Frames from `from` on, of a stream that began there or at the clip's beginning.
     let score = |model: &MgeModel, from: usize, cold: bool| -> Score {
         let mut score = Score::new(model.deviation.len());
@@ -42,24 +115,20 @@ fn main() -> Result<()> {
         }
         score
     };
-    let show = |name: &str, score: Score| {
-        println!("{name}: AMSE {:.1}, ACC {:.4}", score.amse(), score.acc());
-    };
-    show("floats", score(&model, 0, false));
+    show("floats", score(model, 0, false));
     for sums in [Sums::Exact, Sums::Table] {
         let mut score = Score::new(model.deviation.len());
-        for clip in &clips {
-            let said = live::convert_with_sums(&model, clip.audio.view(), sums).parameters;
+        for clip in clips {
+            let said = live::convert_with_sums(model, clip.audio.view(), sums).parameters;
             score.add(&clip.visual, &said);
         }
         show(&format!("logs of 12 bits, {sums:?} sums"), score);
     }
     for bits in [8, 7, 6, 5, 4] {
-        show(&format!("{bits} bits"), score(&rounded(&model, bits), 0, false));
+        show(&format!("{bits} bits"), score(&rounded(model, bits), 0, false));
     }
-    let tables = export_mge(&model, &MgeSettings::default())?.bytes;
+    let tables = export_mge(model, &MgeSettings::default())?.bytes;
     let tables = Tables::new_checked(&tables)?;
-    let bits = |bits: i32| Some(LogProb::from_q12(bits << FRACTION_BITS));
     let all = Settings {
         most: Some(u16::MAX),
         phones: Some(u16::MAX),
@@ -100,28 +169,21 @@ fn main() -> Result<()> {
         ),
         ("… and settled: the device", Settings::default()),
     ];
-    let sounds = clips
-        .iter()
-        .map(|clip| audio::read(&folder.wav_path(&clip.clip.id)));
-    let sounds: Vec<_> = sounds.collect::<Result<_>>()?;
     for (name, settings) in steps {
         let mut score = Score::new(model.deviation.len());
-        for (clip, sound) in clips.iter().zip(&sounds) {
-            score.add(
-                &clip.visual,
-                &stream(&tables, &sound.samples, settings)?.parameters,
-            );
+        for (clip, sound) in clips.iter().zip(sounds) {
+            score.add(&clip.visual, &stream(&tables, sound, settings)?.parameters);
         }
         show(name, score);
     }
     for from in [50, 100, 150] {
         show(
             &format!("from frame {from}, whole clip heard"),
-            score(&model, from, false),
+            score(model, from, false),
         );
         show(
             &format!("from frame {from}, started there"),
-            score(&model, from, true),
+            score(model, from, true),
         );
     }
     Ok(())

@@ -5,7 +5,7 @@ use anyhow::{Context, Result, bail, ensure};
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
 use lipstream_core::model::Model as Tables;
 use lipstream_core::model::field::{MAGIC, limit};
-use lipstream_core::stream::{FRAMES, Settings, Stream};
+use lipstream_core::stream::{FRAMES, Settings, Stream, TOKENS};
 use lipstream_core::wire::Profile;
 use ndarray::{Array2, Axis};
 
@@ -209,7 +209,16 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
 
 /// A whole sound through the device's own stream.
 pub fn stream(tables: &Tables, samples: &[i16], settings: Settings) -> Result<Converted> {
-    let mut stream = Stream::new(tables, settings);
+    stream_sized::<{ TOKENS }, { FRAMES }>(tables, samples, settings)
+}
+
+/// [`stream`] with room for so many active joint states and frames.
+pub fn stream_sized<const TOKENS: usize, const FRAMES: usize>(
+    tables: &Tables,
+    samples: &[i16],
+    settings: Settings,
+) -> Result<Converted> {
+    let mut stream = Stream::<TOKENS, FRAMES>::sized(tables, settings);
     let scales: Vec<f32> = tables.parameter_scales().collect();
     let mut parameters = Array2::zeros((0, scales.len()));
     let mut visemes = Array2::zeros((0, VISEMES.len()));
