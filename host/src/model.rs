@@ -16,7 +16,7 @@ pub const MODEL_VERSION: u32 = 2;
 pub const KIND: &str = "hmm";
 /// Emitting states of a phone or a viseme (X&L section 7.1).
 pub const N_EMITTING: usize = 5;
-/// Transition classes of one phone: 13 inside, mouth leads, sound leads. See [`transition_class`].
+/// Transition classes of one phone: 13 inside, mouth leads, sound leads (see [`crate::hmm::topology`]).
 pub const N_TRANSITION_CLASSES: usize = 15;
 
 /// Gaussian mixtures with diagonal covariance, one per state.

@@ -1,7 +1,7 @@
 //! The float model quantised into the device's tables, and how much was lost on the way.
 //!
-//! The layout of the tables is [`lipstream_core::model::field`]; equal models give equal bytes. [`tables`] has what
-//! every model has, [`local_linear`] and [`mge`] what their kind needs.
+//! The layout of the tables is [`lipstream_core::model::field`]; equal models give equal bytes. `tables.rs` has what
+//! every model has, `local_linear.rs` and `mge.rs` what their kind needs.
 pub mod budget;
 mod local_linear;
 mod mge;

@@ -4,7 +4,7 @@
 //! to the log likelihood.
 //!
 //! Nothing is pruned but what a double-precision number could not carry anyway: states whose forward variable is below
-//! [`NOTHING`]. In a left-right graph that alone leaves a narrow band of states alive in each frame; only they are
+//! `NOTHING`. In a left-right graph that alone leaves a narrow band of states alive in each frame; only they are
 //! visited, and only their emissions are asked for.
 use ndarray::Array2;
 

@@ -38,7 +38,7 @@ pub fn write(path: &Path, optimiser: &Optimiser, best: &Best, context_mean: &[f3
     out.write(path)
 }
 
-/// Reads what [`write`] wrote; `None` where there is nothing. A checkpoint of another run is refused.
+/// Reads what [`write()`] wrote; `None` where there is nothing. A checkpoint of another run is refused.
 pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, Best, Vec<f32>)>> {
     if !path.exists() {
         return Ok(None);

@@ -2,7 +2,7 @@
 //!
 //! The coupled HMM of X&L follows the sound over the loop of all phones and, through its visual chain, its own last
 //! output; its occupancies gate low-rank linear maps with a memory. [`context`] has what a frame hears (M1-M2),
-//! [`chain`] the step of the HMM (M3), [`step`] the rest (M4-M9), [`reverse`] its gradient, [`train`] the loss (M10), [`settle`] what
+//! [`chain`] the step of the HMM (M3), [`step`] the rest (M4-M9), `reverse` its gradient, [`train`] the loss (M10), [`settle`] what
 //! keeps a mouth at rest still (M11).
 mod batch;
 pub mod chain;

@@ -12,7 +12,7 @@ use crate::model::{Mixtures, N_EMITTING};
 
 impl Tape {
     /// Adds the gradient of a loss to `gradient`: `g_output` `[T, D]` is the loss by ŷ, `targets` the states of the
-    /// forced alignment, which [`cross_entropy`] weighs with `entropy`.
+    /// forced alignment, which [`cross_entropy`](super::pass::cross_entropy) weighs with `entropy`.
     pub fn reverse(
         &self,
         net: &Net,
