@@ -93,7 +93,9 @@ pub struct Cue {
 
 /// ln-weight that a change of shape must gain: a shape has to be clearly likelier for some frames to be shown, so
 /// that a drawn mouth does not flutter.
-const CHANGE_COST: f32 = 3.0;
+const CHANGE_COST: f32 = 5.0;
+/// The same of a change to closed lips, which are short, and missed when they are not there.
+const CLOSING_COST: f32 = 2.0;
 /// Weights below this are as good as none.
 const FLOOR: f32 = 1e-3;
 
@@ -170,15 +172,17 @@ fn shape_weights(visemes: ArrayView1<f32>) -> [f32; SHAPES.len()] {
     out
 }
 
-/// Viterbi over shapes: Σ ln weight − [`CHANGE_COST`] per change.
+/// Viterbi over shapes: Σ ln weight − [`CHANGE_COST`] or [`CLOSING_COST`] per change.
 fn likeliest(weights: &[[f32; SHAPES.len()]]) -> Vec<Shape> {
     let mut score = [0.0f32; SHAPES.len()];
     let mut from = Vec::with_capacity(weights.len());
     for frame in weights {
         let best = argmax(&score);
-        let changed = score[best] - CHANGE_COST;
+        let top = score[best];
         let mut step = [0; SHAPES.len()];
         for (k, s) in score.iter_mut().enumerate() {
+            let closes = SHAPES[k] == Shape::A;
+            let changed = top - if closes { CLOSING_COST } else { CHANGE_COST };
             step[k] = if changed > *s { best } else { k };
             *s = s.max(changed) + frame[k].max(FLOOR).ln();
         }

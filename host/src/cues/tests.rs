@@ -52,12 +52,12 @@ fn a_word_becomes_its_shapes() {
 
 #[test]
 fn a_flicker_is_not_shown_but_a_short_closure_is() {
-    let mut weights = spoken(&[("sil", 10), ("aa", 20), ("m", 4), ("aa", 20), ("sil", 10)]);
+    let mut weights = spoken(&[("sil", 10), ("aa", 20), ("m", 3), ("aa", 20), ("sil", 10)]);
     // A doubtful frame inside the vowel.
     let (open, teeth) = (1, 11);
     weights[[18, open]] = 0.45;
     weights[[18, teeth]] = 0.55;
-    let found = cues(weights.view(), 0.65).unwrap();
+    let found = cues(weights.view(), 0.64).unwrap();
     assert_eq!(letters(&found), "XDADX");
 }
 
