@@ -46,6 +46,9 @@ pub struct RunSettings {
     pub settle: Option<bool>,
 }
 
+const NO_SETTLING: &str =
+    "only models trained on the error of their mouth settle it: leave --no-settling out";
+
 /// A model made ready.
 pub enum Engine {
     /// Tables that have been checked.
@@ -112,6 +115,7 @@ impl Engine {
                     "the tables have no visual densities to re-estimate the mouth with: give the model that they were exported \
                      from, or export it with --visual-densities"
                 );
+                ensure!(with.settle.is_none() || tables.is_recurrent(), NO_SETTLING);
                 stream(&tables, samples, core_settings(with)?)
             }
             Self::Float(model) => {
@@ -123,6 +127,7 @@ impl Engine {
                     with.profile.is_none(),
                     "in floats a model with a lag has no profiles: give --lag instead of --profile"
                 );
+                ensure!(with.settle.is_none(), NO_SETTLING);
                 let start_mean = std::array::from_fn(|i| model.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 let lag = with.lag.map_or(model.following.lag, usize::from);

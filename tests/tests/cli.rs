@@ -183,6 +183,54 @@ fn export_and_convert() {
     assert!(!folder.join("big.tables").exists());
 }
 
+/// EM in the lag window and settling: each for the kind of model that knows it, refused by the other.
+#[test]
+fn switches_of_one_kind_of_model() {
+    let folder = common::folder("cli-switches");
+    let hello = hello();
+    let shipped = path(&common::root().join("models/grid-s1.tables"));
+    common::synthetic_model()
+        .write(&folder.join("likely.safetensors"))
+        .unwrap();
+    for (output, more) in [("maps.tables", None), ("both.tables", Some("--visual-densities"))] {
+        let words = ["export", "likely.safetensors", "-o", output];
+        succeed(&folder, &[&words[..], more.as_slice()].concat());
+    }
+    let convert = |model: &str, more: &[&str]| {
+        let words = ["convert", &hello, "-m", model, "-o", "out.npy"];
+        succeed(&folder, &[&words[..], more].concat());
+        let out: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.join("out.npy")).unwrap();
+        out
+    };
+    let (maps, em) = (
+        convert("both.tables", &[]),
+        convert("both.tables", &["--feedback", "0.1"]),
+    );
+    assert_eq!(maps, convert("maps.tables", &[]));
+    assert_eq!(em.dim(), maps.dim());
+    assert_ne!(em, maps);
+    let (settled, lively) = (convert(&shipped, &[]), convert(&shipped, &["--no-settling"]));
+    assert_eq!(settled.dim(), lively.dim());
+    assert_ne!(settled, lively);
+
+    for (model, more, said) in [
+        ("maps.tables", &["--feedback", "0.1"][..], "no visual densities"),
+        (&shipped, &["--feedback", "0.1"], "no visual densities"),
+        ("both.tables", &["--feedback", "5"], "0 to 4"),
+        ("both.tables", &["--no-settling"], "leave --no-settling out"),
+        (
+            "likely.safetensors",
+            &["--no-settling", "--engine", "float"],
+            "leave --no-settling out",
+        ),
+    ] {
+        let words = ["convert", &hello, "-m", model, "-o", "refused.npy"];
+        let error = refuse(&folder, &[&words[..], more].concat());
+        assert!(error.contains(said), "{error}");
+    }
+    assert!(!folder.join("refused.npy").exists());
+}
+
 /// The shipped tables are the shipped model's.
 #[test]
 fn shipped_tables_are_up_to_date() {
