@@ -27,6 +27,7 @@ pub mod phones;
 pub mod reference;
 pub mod render;
 pub mod shelf;
+pub mod shipped;
 pub mod synthetic;
 pub mod tensors;
 pub mod train;

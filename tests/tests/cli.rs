@@ -169,10 +169,9 @@ fn export_and_convert() {
             }
         }
     }
-    // The flash limit is kept; and what a model by likelihood costs nobody has a formula for: it is not promised.
     for (option, limit, said) in [
-        ("--flash", "100", "100 KiB"),
-        ("--cycles", "9000000", "instructions unknown"),
+        ("--flash", "100", "no model fits 100 KiB"),
+        ("--cycles", "9000", "no model fits 9000 instructions a hop"),
     ] {
         let error = refuse(
             &folder,
@@ -181,6 +180,41 @@ fn export_and_convert() {
         assert!(error.contains(said), "{error}");
     }
     assert!(!folder.join("big.tables").exists());
+}
+
+/// A budget of instructions chooses the widest beam that it has room for.
+#[test]
+fn a_budget_chooses_the_beam() {
+    let folder = common::folder("cli-budget");
+    let model = path(&common::root().join("models/grid-s1.safetensors"));
+    let beam = |cycles: &str| {
+        let said = succeed(
+            &folder,
+            &[
+                "export",
+                &model,
+                "-o",
+                "fit.tables",
+                "--cycles",
+                cycles,
+                "--flash",
+                "190",
+            ],
+        );
+        let tables = std::fs::read(folder.join("fit.tables")).unwrap();
+        let beam = Model::new_checked(&tables).unwrap().beam().q12() >> 12;
+        assert!(said.contains(&format!("beam {beam} bits: 181.1 KiB")), "{said}");
+        assert_eq!(said.matches(": chosen\n").count(), 1, "{said}");
+        beam
+    };
+    assert_eq!([beam("140000"), beam("165000"), beam("1000000")], [7, 10, 14]);
+    let words = ["export", &model, "-o", "never.tables", "--cycles", "100000"];
+    let error = refuse(&folder, &words);
+    assert!(
+        error.contains("no model fits 100000 instructions a hop"),
+        "{error}"
+    );
+    assert!(!folder.join("never.tables").exists());
 }
 
 /// EM in the lag window and settling: each for the kind of model that knows it, refused by the other.

@@ -10,14 +10,9 @@ use crate::cues::{self, Format};
 use crate::engine::{Converted, Engine, Kind, RunSettings};
 use crate::mouth::MouthSpace;
 use crate::render::{self, Settings, page};
+use crate::shipped::{MODEL, SOUND, TABLES};
 use crate::tensors::Tensors;
 use crate::{audio, files};
-
-/// Speech made with flite, see data/README.md.
-const HELLO: &[u8] = include_bytes!("../../../data/hello.wav");
-/// The shipped model, see models/README.md: what is drawn with, and what converts.
-const MODEL: &[u8] = include_bytes!("../../../models/grid-s1.safetensors");
-const TABLES: &[u8] = include_bytes!("../../../models/grid-s1.tables");
 
 /// Run the shipped model on the shipped speech: video, page, cues
 #[derive(Debug, clap::Args)]
@@ -36,7 +31,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: Args) -> Result<()> {
     let (sound, wav_name) = match &args.wav {
         Some(wav) => (audio::read(wav)?.samples, name(wav)),
-        None => (audio::decode(HELLO)?.samples, "hello.wav".to_owned()),
+        None => (audio::decode(SOUND)?.samples, "hello.wav".to_owned()),
     };
     let (tensors, engine) = match &args.model {
         Some(path) => (Tensors::read(path)?, Engine::open(path, Kind::Fixed)?),

@@ -1,14 +1,15 @@
 //! `lipstream export`: a float model to the device's tables.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
+use lipstream_core::model::Model as Tables;
 
 use crate::export::budget::{self, Budget, Candidate};
 use crate::export::{Export, ExportSettings, MgeSettings, export, export_mge};
-use crate::files;
 use crate::mge::model::MgeModel;
 use crate::model::Model;
 use crate::tensors::Tensors;
+use crate::{audio, files, shipped};
 
 /// Write the device's quantised tables
 #[derive(Debug, clap::Args)]
@@ -37,8 +38,8 @@ pub(crate) struct Args {
     /// Take tables of this many KiB at most
     #[arg(long, value_name = "KIB")]
     flash: Option<usize>,
-    /// Take a model whose 10 ms hop costs this many instructions of a Cortex-M4 at most, on average over speech; its beam is
-    /// narrowed to fit
+    /// Take a model whose 10 ms hop costs this many instructions of a Cortex-M4 at most, on average over speech, with the
+    /// widest beam that fits
     #[arg(long, value_name = "N")]
     cycles: Option<f64>,
     /// Print sizes and errors as JSON
@@ -51,7 +52,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         bytes: args.flash.map(|kib| kib * 1024),
         instructions: args.cycles,
     };
-    let (exported, candidates) = candidates(&args)?;
+    let (sources, candidates) = candidates(&args)?;
     let Some(chosen) = budget::choose(&candidates, &budget) else {
         let limits = [
             args.flash.map(|kib| format!("{kib} KiB")),
@@ -69,25 +70,16 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     if candidates.len() > 1 && !args.json {
         for (n, candidate) in candidates.iter().enumerate() {
-            let fate = match candidate.fits(&budget) {
+            let fate = match candidate.exceeds(&budget) {
                 _ if n == chosen => "chosen",
-                true => "fits",
-                false => "too large",
+                None => "fits",
+                Some(what) => what,
             };
             println!("{}: {fate}", said(&args, candidate));
         }
     }
     let chosen = &candidates[chosen];
-    let exported = match &exported[chosen.model] {
-        Ready::AsIs(exported) => exported,
-        Ready::Narrowed(_, exported, widest) if chosen.beam_bits == *widest => exported,
-        Ready::Narrowed(model, ..) => &export_mge(
-            model,
-            &MgeSettings {
-                beam_bits: chosen.beam_bits,
-            },
-        )?,
-    };
+    let exported = &sources[chosen.model].export(chosen.beam_bits)?;
     let size = exported.bytes.len();
     files::write_bytes(&args.output, &exported.bytes)?;
     if args.json {
@@ -116,18 +108,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// Tables with the only beam that is in question, or a model whose beam may be narrowed, with those of its widest.
-enum Ready {
-    AsIs(Export),
-    Narrowed(Box<MgeModel>, Export, f64),
+/// A model and what its tables are made with, but for the beam.
+enum Source {
+    Likelihood(Box<Model>, ExportSettings),
+    Mge(Box<MgeModel>),
 }
 
-/// Beams that a budget of instructions may choose from, in bits below the widest.
-const NARROWER: [f64; 5] = [0.0, 1.0, 2.0, 3.0, 4.0];
-
-fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
-    let (mut ready, mut all) = (Vec::new(), Vec::new());
-    for (n, path) in args.models.iter().enumerate() {
+impl Source {
+    fn read(path: &Path, args: &Args) -> Result<Self> {
         if MgeModel::is_kind(&Tensors::read(path)?) {
             if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average || args.visual_densities
             {
@@ -136,59 +124,101 @@ fn candidates(args: &Args) -> Result<(Vec<Ready>, Vec<Candidate>)> {
                     path.display()
                 );
             }
-            let model = MgeModel::read(path)?;
-            let widest = args.beam.unwrap_or(MgeSettings::default().beam_bits);
-            let exported = export_mge(&model, &MgeSettings { beam_bits: widest })?;
-            let narrower = match (args.beam, args.cycles) {
-                (None, Some(_)) => &NARROWER[..],
-                _ => &NARROWER[..1],
-            };
-            all.extend(narrower.iter().map(|less| Candidate {
-                model: n,
-                beam_bits: widest - less,
-                bytes: exported.bytes.len(),
-                instructions: Some(budget::instructions(&model, widest - less)),
-                validation: model.validation_amse,
-            }));
-            ready.push(Ready::Narrowed(Box::new(model), exported, widest));
-        } else {
-            let model = Model::read(path)?;
-            let own = ExportSettings::of(&model);
-            let settings = ExportSettings {
-                lag: args.lag.unwrap_or(own.lag),
-                beam_bits: args.beam.unwrap_or(own.beam_bits),
-                acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
-                average: !args.no_average,
-                visual_densities: args.visual_densities,
-            };
-            let exported = export(&model, &settings)?;
-            all.push(Candidate {
-                model: n,
-                beam_bits: settings.beam_bits,
-                bytes: exported.bytes.len(),
-                instructions: None,
-                validation: None,
-            });
-            ready.push(Ready::AsIs(exported));
+            return Ok(Self::Mge(Box::new(MgeModel::read(path)?)));
+        }
+        let model = Model::read(path)?;
+        let own = ExportSettings::of(&model);
+        let settings = ExportSettings {
+            lag: args.lag.unwrap_or(own.lag),
+            acoustic_scale: args.acoustic_scale.unwrap_or(own.acoustic_scale),
+            average: !args.no_average,
+            visual_densities: args.visual_densities,
+            ..own
+        };
+        Ok(Self::Likelihood(Box::new(model), settings))
+    }
+
+    fn own_beam_bits(&self) -> f64 {
+        match self {
+            Self::Likelihood(_, settings) => settings.beam_bits,
+            Self::Mge(_) => MgeSettings::default().beam_bits,
         }
     }
-    Ok((ready, all))
+
+    /// Beams that a budget of instructions may choose from, bits.
+    fn beams(&self) -> &'static [f64] {
+        match self {
+            Self::Likelihood(..) => &[24.0, 22.0, 20.0, 18.0, 16.0],
+            Self::Mge(_) => &[14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0],
+        }
+    }
+
+    fn export(&self, beam_bits: f64) -> Result<Export> {
+        match self {
+            Self::Likelihood(model, settings) => {
+                let settings = ExportSettings {
+                    beam_bits,
+                    ..*settings
+                };
+                export(model, &settings)
+            }
+            Self::Mge(model) => export_mge(model, &MgeSettings { beam_bits }),
+        }
+    }
+
+    /// Every beam that is in question.
+    fn candidates(&self, n: usize, args: &Args) -> Result<Vec<Candidate>> {
+        let own = args.beam.unwrap_or(self.own_beam_bits());
+        let beams = match (args.beam, args.cycles) {
+            (None, Some(_)) => self.beams(),
+            _ => &[own],
+        };
+        let bytes = self.export(own)?.bytes;
+        let tables = Tables::new_checked(&bytes)?;
+        let sound = audio::decode(shipped::SOUND)?.samples;
+        let cost = |beam_bits: f64| match self {
+            Self::Likelihood(..) => {
+                let active = budget::mean_active(&tables, &sound, beam_bits);
+                budget::instructions_by_likelihood(&tables, active)
+            }
+            Self::Mge(model) => budget::instructions(model, beam_bits),
+        };
+        let validation = match self {
+            Self::Likelihood(..) => None,
+            Self::Mge(model) => model.validation_amse,
+        };
+        let candidate = |beam_bits: &f64| Candidate {
+            model: n,
+            beam_bits: *beam_bits,
+            bytes: bytes.len(),
+            instructions: cost(*beam_bits),
+            validation,
+        };
+        Ok(beams.iter().map(candidate).collect())
+    }
+}
+
+fn candidates(args: &Args) -> Result<(Vec<Source>, Vec<Candidate>)> {
+    let (mut sources, mut all) = (Vec::new(), Vec::new());
+    for (n, path) in args.models.iter().enumerate() {
+        let source = Source::read(path, args)?;
+        all.extend(source.candidates(n, args)?);
+        sources.push(source);
+    }
+    Ok((sources, all))
 }
 
 /// A candidate in words.
 fn said(args: &Args, candidate: &Candidate) -> String {
-    let work = match candidate.instructions {
-        Some(n) => format!("about {:.0} k instructions a hop", n / 1000.0),
-        None => "instructions unknown".to_owned(),
-    };
     let error = match candidate.validation {
         Some(amse) => format!(", validation AMSE {amse:.0}"),
         None => String::new(),
     };
     format!(
-        "{}, beam {} bits: {:.1} KiB, {work}{error}",
+        "{}, beam {} bits: {:.1} KiB, about {:.0} k instructions a hop{error}",
         args.models[candidate.model].display(),
         candidate.beam_bits,
-        candidate.bytes as f64 / 1024.0
+        candidate.bytes as f64 / 1024.0,
+        candidate.instructions / 1000.0
     )
 }
