@@ -2,8 +2,9 @@
 mod common;
 
 use std::path::Path;
+use std::process::{Command, Stdio};
 
-use common::program::{refuse, run, succeed};
+use common::program::{program, refuse, run, succeed};
 use lipstream_core::model::Model;
 use lipstream_core::stream::Settings;
 
@@ -180,6 +181,25 @@ fn export_and_convert() {
         assert!(error.contains(said), "{error}");
     }
     assert!(!folder.join("big.tables").exists());
+}
+
+/// Where nobody reads what it prints (`lipstream … | head`) the program ends without a word, its work done.
+#[test]
+fn a_closed_pipe_ends_it_quietly() {
+    let folder = common::folder("cli-pipe");
+    let model = path(&common::root().join("models/grid-s1.safetensors"));
+    let mut child = Command::new(program())
+        .current_dir(&folder)
+        .args(["export", &model, "-o", "grid-s1.tables"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&output.stderr), "");
+    assert_eq!(output.status.code(), Some(141));
+    assert_eq!(files(&folder), ["grid-s1.tables"]);
 }
 
 /// A budget of instructions chooses the widest beam that it has room for.

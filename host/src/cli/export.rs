@@ -39,7 +39,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "KIB")]
     flash: Option<usize>,
     /// Take a model whose 10 ms hop costs this many instructions of a Cortex-M4 at most, on average over speech, with the
-    /// widest beam that fits
+    /// widest beam of 7 to 14 bits that fits if it was trained with `--train mge`
     #[arg(long, value_name = "N")]
     cycles: Option<f64>,
     /// Print sizes and errors as JSON
@@ -145,11 +145,12 @@ impl Source {
         }
     }
 
-    /// Beams that a budget of instructions may choose from, bits.
-    fn beams(&self) -> &'static [f64] {
+    /// Beams that a budget of instructions may choose from, bits. What a narrower one costs a likelihood-trained model goes with
+    /// its acoustic scale: there it is not touched.
+    fn beams(&self, own: f64) -> Vec<f64> {
         match self {
-            Self::Likelihood(..) => &[24.0, 22.0, 20.0, 18.0, 16.0],
-            Self::Mge(_) => &[14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0],
+            Self::Likelihood(..) => vec![own],
+            Self::Mge(_) => vec![14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0],
         }
     }
 
@@ -170,8 +171,8 @@ impl Source {
     fn candidates(&self, n: usize, args: &Args) -> Result<Vec<Candidate>> {
         let own = args.beam.unwrap_or(self.own_beam_bits());
         let beams = match (args.beam, args.cycles) {
-            (None, Some(_)) => self.beams(),
-            _ => &[own],
+            (None, Some(_)) => self.beams(own),
+            _ => vec![own],
         };
         let bytes = self.export(own)?.bytes;
         let tables = Tables::new_checked(&bytes)?;
