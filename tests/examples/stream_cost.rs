@@ -13,18 +13,21 @@ fn main() {
 
 #[cfg(target_os = "none")]
 mod target {
+    use core::ffi::CStr;
     use core::mem::MaybeUninit;
 
     use cortex_m_rt::entry;
     use lipstream_core::HOP_SAMPLES;
     use lipstream_core::frontend::{Config, FrontEnd};
-    use lipstream_core::hmm::gates::Gates;
+    use lipstream_core::hmm::follower::Follower;
+    use lipstream_core::hmm::gates::{Gates, viseme_weights};
     use lipstream_core::hmm::local_linear::History;
     use lipstream_core::mge::context::{Means, project};
     use lipstream_core::mge::memory::Memory;
-    use lipstream_core::mge::rows;
+    use lipstream_core::mge::occupancy::Occupancy;
+    use lipstream_core::mge::settle::settle;
     use lipstream_core::model::Model;
-    use lipstream_core::model::field::{Matrix, limit};
+    use lipstream_core::parameters::MAX_PARAMETERS;
     use lipstream_core::stream::{self, Settings, Stream};
     use semihosting::fs::File;
     use semihosting::io::Read;
@@ -61,59 +64,116 @@ mod target {
         process::exit(1)
     }
 
-    /// What one frame of a model with a memory costs beside the front end and the tokens.
-    fn stages(model: &Model) {
-        let mut history = History::new();
-        let mut means = Means::new();
-        let statics = [100, -200, 300, 50, -70, 90, 30, -10, 20, 5, -400, 60, 700];
-        for _ in 0..20 {
+    /// The hop as it lies in the file.
+    fn next_hop(sound: &mut File) -> Option<[i16; HOP_SAMPLES]> {
+        let mut hop = [0u8; 2 * HOP_SAMPLES];
+        let whole = read_all(sound, &mut hop) == hop.len();
+        whole.then(|| core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]])))
+    }
+
+    const STAGES: [&str; 6] = ["frontend", "context", "follow", "gates", "memory", "settle"];
+
+    /// What a stage of a stream costs, instructions.
+    #[derive(Clone, Copy, Default)]
+    struct Spent {
+        total: u64,
+        worst: u32,
+        since: u32,
+    }
+
+    impl Spent {
+        fn begin(&mut self) {
+            self.since = ticks();
+        }
+
+        fn end(&mut self) {
+            let spent = ticks().wrapping_sub(self.since) * 5 / 8;
+            self.total += u64::from(spent);
+            self.worst = self.worst.max(spent);
+        }
+    }
+
+    type MemoryFollower = Follower<'static, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
+    static mut FOLLOWER: MaybeUninit<MemoryFollower> = MaybeUninit::uninit();
+
+    /// A model with a memory, taken apart into its stages, over the sound.
+    fn stages(model: &'static Model<'static>, follower: &mut MemoryFollower, sound: &mut File) {
+        let mut frontend = FrontEnd::new(Config {
+            start_mean: model.start_mean(),
+            normalise: true,
+        });
+        let (mut history, mut means, mut memory) = (History::new(), Means::new(), Memory::new());
+        memory.reset(model);
+        let (mut shown, mut known) = ([0; MAX_PARAMETERS], 0);
+        let mut spent = [Spent::default(); STAGES.len()];
+        let [of_frontend, of_context, of_follow, of_gates, of_memory, of_settle] = &mut spent;
+        let mut hops = 0u32;
+        while let Some(samples) = next_hop(sound) {
+            hops += 1;
+            of_frontend.begin();
+            let (mut rest, mut statics) = (&samples[..], None);
+            while !rest.is_empty() {
+                let (taken, hop) = frontend.push(rest);
+                rest = &rest[taken..];
+                statics = hop.and_then(|hop| hop.statics).or(statics);
+            }
+            of_frontend.end();
+            let Some(statics) = statics else { continue };
+            of_context.begin();
             history.push(&statics);
             means.push(model, &statics);
+            let Some(frame) = history.count().checked_sub(model.look_ahead() as u32 + 1) else {
+                continue;
+            };
+            let z = project(model, &history, &means, frame);
+            of_context.end();
+            let z = &z[..model.shape().inputs];
+            of_follow.begin();
+            follower.follow_inputs(z, &memory.mouth()[..model.shape().fed_back()]);
+            of_follow.end();
+            of_gates.begin();
+            let occupancy = Occupancy::of(model, follower.active());
+            let audio = Gates::choose(&occupancy.audio);
+            let visual = Gates::choose(&occupancy.visual);
+            of_gates.end();
+            of_memory.begin();
+            let mut mouth = memory.step(model, z, &audio, &visual);
+            of_memory.end();
+            of_settle.begin();
+            settle(&shown[..known], &mut mouth);
+            known = mouth.len();
+            shown[..known].copy_from_slice(&mouth);
+            core::hint::black_box(viseme_weights(&occupancy.visual));
+            of_settle.end();
         }
-        let count = |name: &str, work: &mut dyn FnMut()| {
-            let before = ticks();
-            work();
-            println!("instructions {} {}", name, ticks().wrapping_sub(before) * 5 / 8);
-        };
-        let mut z = [0; limit::INPUTS];
-        count("context", &mut || z = project(model, &history, &means, 10));
-        let z = &z[..model.shape().inputs];
-        let mut occupancy = [0; 235];
-        (occupancy[7], occupancy[8], occupancy[30]) = (40_000, 20_000, 5_000);
-        let mut audio = Gates::default();
-        count("gates", &mut || audio = Gates::choose(&occupancy));
-        let visual = Gates::choose(&occupancy[..60]);
-        let mut memory = Memory::new();
-        memory.reset(model);
-        count("memory", &mut || {
-            core::hint::black_box(memory.step(model, z, &audio, &visual));
-        });
-        let mut out = [0; 64];
-        count("drive", &mut || {
-            let inputs = rows::Inputs::new(z);
-            rows::product(&model.blocks(Matrix::DRIVE, z.len()), &inputs, |i, v| {
-                out[i & 63] = v
-            });
-        });
-        core::hint::black_box(out);
-        let inputs = rows::Inputs::new(z);
-        count("audio_state", &mut || {
-            core::hint::black_box(rows::row(&model.rows(Matrix::AUDIO, z.len()), 8, &inputs));
-        });
+        for (name, spent) in STAGES.iter().zip(spent) {
+            println!(
+                "instructions {}_mean {}",
+                name,
+                spent.total / u64::from(hops.max(1))
+            );
+            println!("instructions {}_worst {}", name, spent.worst);
+        }
+    }
+
+    fn open(name: &CStr) -> File {
+        match File::open(name) {
+            Ok(file) => file,
+            Err(_) => fail("cannot open model.tables or sound.raw"),
+        }
     }
 
     #[entry]
     fn main() -> ! {
-        let Ok(mut file) = File::open(c"model.tables") else {
-            fail("cannot open model.tables")
-        };
+        let mut file = open(c"model.tables");
         // SAFETY: a program of one thread without interrupts; nothing else names these statics.
-        let (bytes, view, place, memory_place) = unsafe {
+        let (bytes, view, place, memory_place, follower) = unsafe {
             (
                 &mut *(&raw mut MODEL),
                 &mut *(&raw mut VIEW),
                 &mut *(&raw mut STREAM),
                 &mut *(&raw mut MEMORY_STREAM),
+                &mut *(&raw mut FOLLOWER),
             )
         };
         let size = read_all(&mut file, bytes);
@@ -130,59 +190,36 @@ mod target {
             feedback,
             ..Settings::default()
         };
-        let Ok(mut sound) = File::open(c"sound.raw") else {
-            fail("cannot open sound.raw")
-        };
+        let mut sound = open(c"sound.raw");
         if model.is_recurrent() {
-            stages(model);
-            count(
-                memory_place.write(Stream::sized(model, settings)),
-                model,
-                &mut sound,
-            );
+            let follower = follower.write(Follower::new(model, model.beam(), 0, None, None));
+            stages(model, follower, &mut open(c"sound.raw"));
+            let stream = memory_place.write(Stream::sized(model, settings));
+            count(stream, &mut sound);
         } else {
-            count(place.write(Stream::new(model, settings)), model, &mut sound);
+            count(place.write(Stream::new(model, settings)), &mut sound);
         }
         println!("bytes stream {}", size_of::<Stream>());
         println!("bytes memory_stream {}", size_of::<MemoryStream>());
         process::exit(0)
     }
 
-    /// Every hop of the sound, and the front end's share of it by one of its own.
+    /// Every hop of the sound.
     fn count<const TOKENS: usize, const FRAMES: usize>(
         stream: &mut Stream<TOKENS, FRAMES>,
-        model: &Model,
         sound: &mut File,
     ) {
-        let mut frontend = FrontEnd::new(Config {
-            start_mean: model.start_mean(),
-            normalise: true,
-        });
-        let mut hop = [0u8; 2 * HOP_SAMPLES];
-        let (mut hops, mut total, mut worst, mut of_frontend, mut active, mut most) =
-            (0u32, 0u64, 0, 0u64, 0u64, 0);
-        while read_all(sound, &mut hop) == hop.len() {
-            let samples: [i16; HOP_SAMPLES] =
-                core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]]));
-            let before = ticks();
+        let (mut hops, mut spent, mut active, mut most) = (0u32, Spent::default(), 0u64, 0);
+        while let Some(samples) = next_hop(sound) {
+            spent.begin();
             let mut rest = &samples[..];
             while !rest.is_empty() {
                 let (taken, frame) = stream.push(rest);
                 rest = &rest[taken..];
                 core::hint::black_box(frame);
             }
-            let spent = ticks().wrapping_sub(before) * 5 / 8;
-            let before = ticks();
-            let mut rest = &samples[..];
-            while !rest.is_empty() {
-                let (taken, hop) = frontend.push(rest);
-                rest = &rest[taken..];
-                core::hint::black_box(hop);
-            }
-            of_frontend += u64::from(ticks().wrapping_sub(before) * 5 / 8);
+            spent.end();
             hops += 1;
-            total += u64::from(spent);
-            worst = worst.max(spent);
             active += stream.active() as u64;
             most = most.max(stream.active());
         }
@@ -190,9 +227,8 @@ mod target {
             fail("sound.raw holds no whole hop")
         }
         println!("hops {}", hops);
-        println!("instructions mean {}", total / u64::from(hops));
-        println!("instructions worst {}", worst);
-        println!("instructions frontend {}", of_frontend / u64::from(hops));
+        println!("instructions mean {}", spent.total / u64::from(hops));
+        println!("instructions worst {}", spent.worst);
         println!("active mean {}", active / u64::from(hops));
         println!("active most {}", most);
     }
