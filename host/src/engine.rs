@@ -70,6 +70,11 @@ pub struct Converted {
 impl Engine {
     /// Reads tables or a float model. The fixed engine quantises a float model first; the float engine needs one.
     pub fn open(path: &Path, kind: Kind) -> Result<Self> {
+        Self::open_with(path, kind, false)
+    }
+
+    /// [`Engine::open`]; whether a float model is quantised with its visual densities, which [`RunSettings::feedback`] needs.
+    pub fn open_with(path: &Path, kind: Kind, visual_densities: bool) -> Result<Self> {
         let bytes = files::read_bytes(path)?;
         let is_tables = bytes.starts_with(&MAGIC);
         match kind {
@@ -83,7 +88,7 @@ impl Engine {
             Kind::Fixed => {
                 let model = Model::read(path)?;
                 let with = ExportSettings {
-                    visual_densities: true,
+                    visual_densities,
                     ..ExportSettings::of(&model)
                 };
                 Ok(Self::Fixed(export(&model, &with)?.bytes))

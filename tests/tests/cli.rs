@@ -261,6 +261,7 @@ fn switches_of_one_kind_of_model() {
         convert("both.tables", &["--feedback", "0.1"]),
     );
     assert_eq!(maps, convert("maps.tables", &[]));
+    assert_eq!(em, convert("likely.safetensors", &["--feedback", "0.1"]));
     assert_eq!(em.dim(), maps.dim());
     assert_ne!(em, maps);
     let (settled, lively) = (convert(&shipped, &[]), convert(&shipped, &["--no-settling"]));

@@ -66,7 +66,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Some("json") => json,
         _ => bail!("{}: write .npy, .csv or .json", args.output.display()),
     };
-    let engine = Engine::open(&args.model, args.engine)?;
+    let engine = Engine::open_with(&args.model, args.engine, args.feedback.is_some())?;
     let sound = audio::read(&args.wav)?;
     let with = RunSettings {
         lag: args.lag,
