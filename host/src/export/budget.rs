@@ -166,6 +166,20 @@ mod tests {
         assert_eq!(said, [Some("too large"), Some("too large"), Some("too slow")]);
     }
 
+    /// Counted in QEMU over both corpora (`docs/cost.md`), by beam.
+    #[test]
+    fn the_estimate_is_what_was_counted() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../models/grid-s1.safetensors");
+        let model = MgeModel::read(&path).unwrap();
+        for (beam_bits, counted) in [(8.0, 146_709.0), (11.0, 169_357.0), (14.0, 188_521.0)] {
+            let estimate = instructions(&model, beam_bits);
+            assert!(
+                (estimate / counted - 1.0).abs() < 0.03,
+                "{beam_bits} bits: {estimate}"
+            );
+        }
+    }
+
     #[test]
     fn of_models_that_nobody_judged_the_first_is_chosen() {
         let unknown = |model: usize, beam_bits: f64| Candidate {
