@@ -1,9 +1,9 @@
 //! Products of i8 matrices with 16-bit vectors.
 //!
 //! A weight w is stored as w + 128, so that two of a word's four weights become two halfwords by one AND; two products of
-//! halfwords and their addition are one instruction on Cortex-M4 ([`mul_halves`]); 128·Σinput is taken off at the start. Two layouts: row by row
-//! (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of which all
-//! are wanted and share a walk through the inputs, [`product`].
+//! halfwords and their addition are one instruction on Cortex-M4 ([`mul_halves`]); 128·Σinput is taken off at the start. Two
+//! layouts: row by row (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of
+//! which all are wanted and share a walk through the inputs, [`product`].
 use crate::fixed::{halves, mul_halves, mul_high_rounded, round_shift_i64, saturate_i32};
 use crate::model::field::{BLOCK, SCALE_FRACTION_BITS, limit};
 use crate::model::{Blocks, Rows};

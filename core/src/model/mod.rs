@@ -5,7 +5,9 @@
 mod check;
 mod error;
 pub mod field;
+mod part;
 mod view;
 
 pub use error::{ModelError, Size};
-pub use view::{Blocks, Gate, I16s, Model, Rows, Scaling, SumRow, U16s};
+pub use part::{Blocks, Density, Gate, I16s, Rows, Scaling, StateRow, SumRow, U16s};
+pub use view::Model;

@@ -2,83 +2,11 @@
 use super::check;
 use super::error::ModelError;
 use super::field::{self, BLOCK, Matrix, NAME_SIZE, Section, Shape, header, owns, settings};
+use super::part::{Blocks, Density, Gate, I16s, Rows, Scaling, StateRow, SumRow, U16s};
 use crate::hmm::transition::{N_CHOICES, N_CLASSES};
 use crate::logmath::{LogProb, NEVER_I16};
 use crate::parameters::N_VISEMES;
 use crate::{N_OBSERVATION, N_STATIC};
-
-/// Little-endian i16 in a byte slice.
-#[derive(Clone, Copy, Debug)]
-pub struct I16s<'a>(pub(super) &'a [u8]);
-
-impl<'a> I16s<'a> {
-    /// Number `index`, 0 beyond the end.
-    #[inline]
-    pub fn get(self, index: usize) -> i16 {
-        match self.0.get(2 * index..2 * index + 2) {
-            Some(&[a, b]) => i16::from_le_bytes([a, b]),
-            _ => 0,
-        }
-    }
-
-    /// The numbers as they lie there.
-    #[inline]
-    pub fn bytes(self) -> &'a [u8] {
-        self.0
-    }
-
-    #[inline]
-    pub fn iter(self) -> impl ExactSizeIterator<Item = i16> + 'a {
-        self.0.as_chunks().0.iter().map(|b| i16::from_le_bytes(*b))
-    }
-
-    /// Numbers `row·width .. (row + 1)·width`, empty beyond the end.
-    #[inline]
-    pub fn row(self, row: usize, width: usize) -> Self {
-        let start = 2 * row * width;
-        Self(self.0.get(start..start + 2 * width).unwrap_or(&[]))
-    }
-}
-
-/// Little-endian u16 in a byte slice.
-#[derive(Clone, Copy, Debug)]
-pub struct U16s<'a>(pub(super) &'a [u8]);
-
-impl<'a> U16s<'a> {
-    #[inline]
-    pub fn iter(self) -> impl ExactSizeIterator<Item = u16> + 'a {
-        self.0.as_chunks().0.iter().map(|b| u16::from_le_bytes(*b))
-    }
-
-    /// Numbers `row·width .. (row + 1)·width`, empty beyond the end.
-    #[inline]
-    pub fn row(self, row: usize, width: usize) -> Self {
-        let start = 2 * row * width;
-        Self(self.0.get(start..start + 2 * width).unwrap_or(&[]))
-    }
-}
-
-/// One density of a mixture, as it lies in the tables.
-#[derive(Clone, Copy, Debug)]
-pub struct Density<'a> {
-    /// log2 of weight and normaliser; None for one that is not used.
-    pub constant: Option<LogProb>,
-    /// Means, i8 two's complement, `[39]`.
-    pub mean: &'a [u8; N_OBSERVATION],
-    /// Inverse deviations `[39]`.
-    pub inverse_deviation: &'a [u8; N_OBSERVATION],
-}
-
-/// One density of a visual mixture, as it lies in the tables.
-#[derive(Clone, Copy, Debug)]
-pub struct VisualDensity<'a> {
-    /// log2 of weight and normaliser; None for one that is not used.
-    pub constant: Option<LogProb>,
-    /// Means, i8 two's complement, `[D]`.
-    pub mean: &'a [u8],
-    /// Inverse deviations `[D]`.
-    pub inverse_deviation: &'a [u8],
-}
 
 /// A model whose bytes have been checked: every section is there, has the length that the sizes ask for, and
 /// holds only numbers that the converter can take. It borrows the bytes and copies none of the tables; no
@@ -174,36 +102,28 @@ impl<'a> Model<'a> {
     /// Centre (Q7.8) and gain (Q16.16) of each of the 39 numbers of an observation.
     #[inline]
     pub fn observation_scaling(&self) -> impl Iterator<Item = (i16, u32)> + 'a {
-        let gains = self.section(Section::ObservationGain).as_chunks().0;
-        self.i16s(Section::ObservationCentre)
+        self.centres_and_gains(Section::ObservationCentre, Section::ObservationGain)
+    }
+
+    /// Centre (parameter LSBs) and gain (Q16.16) of each parameter before the visual densities; nothing without them.
+    #[inline]
+    pub fn parameter_scaling(&self) -> impl Iterator<Item = (i16, u32)> + 'a {
+        self.centres_and_gains(Section::ParameterCentre, Section::ParameterGain)
+    }
+
+    #[inline(always)]
+    fn centres_and_gains(&self, centres: Section, gains: Section) -> impl Iterator<Item = (i16, u32)> + 'a {
+        let gains = self.section(gains).as_chunks().0;
+        self.i16s(centres)
             .iter()
             .zip(gains.iter().map(|b| u32::from_le_bytes(*b)))
     }
 
-    /// The densities of audio state 5·phone + i.
+    /// The densities of audio state 5·phone + i, over 39 numbers.
     #[inline]
     pub fn mixture(&self, state: usize) -> impl Iterator<Item = Density<'a>> + 'a {
-        let k = self.shape.densities;
-        let constants = self
-            .section(Section::DensityConstants)
-            .get(4 * state * k..4 * (state + 1) * k)
-            .unwrap_or(&[]);
-        let size = k * field::DENSITY_SIZE;
-        let densities = self
-            .section(Section::Densities)
-            .get(state * size..(state + 1) * size)
-            .unwrap_or(&[]);
-        let halves = densities.as_chunks::<N_OBSERVATION>().0.as_chunks::<2>().0;
-        constants
-            .as_chunks()
-            .0
-            .iter()
-            .zip(halves)
-            .map(|(constant, [mean, inverse_deviation])| Density {
-                constant: constant_of(*constant),
-                mean,
-                inverse_deviation,
-            })
+        let tables = [Section::DensityConstants, Section::Densities];
+        self.densities(tables, self.shape.densities, N_OBSERVATION, state)
     }
 
     /// Whether the tables have visual densities, see [`crate::hmm::feedback`].
@@ -212,46 +132,38 @@ impl<'a> Model<'a> {
         self.shape.visual_densities > 0
     }
 
-    /// Centre (parameter LSBs) and gain (Q16.16) of each parameter before the visual densities; nothing without them.
+    /// The densities of visual state 5·viseme + j, over the parameters.
     #[inline]
-    pub fn parameter_scaling(&self) -> impl Iterator<Item = (i16, u32)> + 'a {
-        let gains = self.section(Section::ParameterGain).as_chunks().0;
-        self.i16s(Section::ParameterCentre)
-            .iter()
-            .zip(gains.iter().map(|b| u32::from_le_bytes(*b)))
+    pub fn visual_mixture(&self, state: usize) -> impl Iterator<Item = Density<'a>> + 'a {
+        let tables = [Section::VisualDensityConstants, Section::VisualDensities];
+        self.densities(tables, self.shape.visual_densities, self.shape.parameters, state)
     }
 
-    /// The densities of visual state 5·viseme + j.
-    #[inline]
-    pub fn visual_mixture(&self, state: usize) -> impl Iterator<Item = VisualDensity<'a>> + 'a {
-        let Shape {
-            visual_densities: l,
-            parameters: d,
-            ..
-        } = self.shape;
-        let constants = self
-            .section(Section::VisualDensityConstants)
-            .get(4 * state * l..4 * (state + 1) * l)
-            .unwrap_or(&[]);
-        let size = l * 2 * d;
-        let densities = self
-            .section(Section::VisualDensities)
-            .get(state * size..(state + 1) * size)
-            .unwrap_or(&[]);
-        let halves = densities.chunks_exact(2 * d);
-        constants
-            .as_chunks()
-            .0
-            .iter()
-            .zip(halves)
-            .map(move |(constant, both)| {
-                let (mean, inverse_deviation) = both.split_at(d.min(both.len()));
-                VisualDensity {
-                    constant: constant_of(*constant),
-                    mean,
-                    inverse_deviation,
-                }
-            })
+    /// The `count` densities of a state, over `size` numbers each.
+    #[inline(always)]
+    fn densities(
+        &self,
+        [constants, densities]: [Section; 2],
+        count: usize,
+        size: usize,
+        state: usize,
+    ) -> impl Iterator<Item = Density<'a>> + 'a {
+        let of_state = |section: Section, bytes: usize| {
+            self.section(section)
+                .get(state * bytes..(state + 1) * bytes)
+                .unwrap_or(&[])
+        };
+        let halves = of_state(densities, count * 2 * size).chunks_exact(2 * size);
+        let constants = of_state(constants, count * 4).as_chunks().0;
+        constants.iter().zip(halves).map(move |(constant, both)| {
+            let constant = i32::from_le_bytes(*constant);
+            let (mean, inverse_deviation) = both.split_at_checked(size).unwrap_or((&[], &[]));
+            Density {
+                constant: (constant != field::NO_DENSITY).then_some(LogProb::from_q12(constant)),
+                mean,
+                inverse_deviation,
+            }
+        })
     }
 
     /// Mean of the mixture of visual state 5·viseme + j, parameter LSBs `[D]`.
@@ -498,117 +410,6 @@ impl<'a> Model<'a> {
     pub fn distance_gain(&self) -> u32 {
         u32_at(self.section(Section::Settings), settings::DISTANCE_GAIN)
     }
-}
-
-/// What becomes of the sums of a matrix's rows.
-#[derive(Clone, Copy, Debug)]
-pub struct Scaling<'a> {
-    scale: &'a [[u8; 4]],
-    /// Empty where there is none.
-    bias: &'a [[u8; 4]],
-}
-
-impl Scaling<'_> {
-    /// Scale of a row, LSB 2⁻²⁴.
-    #[inline]
-    pub fn scale(&self, row: usize) -> i32 {
-        self.scale.get(row).map_or(0, |b| i32::from_le_bytes(*b))
-    }
-
-    /// Bias of a row, within ±2³⁰.
-    #[inline]
-    pub fn bias(&self, row: usize) -> i32 {
-        self.bias.get(row).map_or(0, |b| i32::from_le_bytes(*b))
-    }
-}
-
-/// A matrix of i8 weights row by row, see [`Matrix`].
-#[derive(Clone, Copy, Debug)]
-pub struct Rows<'a> {
-    weights: &'a [[u8; BLOCK]],
-    /// Columns, in fours.
-    fours: usize,
-    pub scaling: Scaling<'a>,
-}
-
-impl<'a> Rows<'a> {
-    /// Weights of a row + 128, in fours; empty beyond the end.
-    #[inline]
-    pub fn weights(&self, row: usize) -> &'a [[u8; BLOCK]] {
-        self.weights
-            .get(row * self.fours..(row + 1) * self.fours)
-            .unwrap_or(&[])
-    }
-}
-
-/// A matrix of i8 weights in blocks, see [`BLOCK`].
-#[derive(Clone, Copy, Debug)]
-pub struct Blocks<'a> {
-    weights: &'a [[u8; BLOCK * BLOCK]],
-    /// Columns, in fours.
-    fours: usize,
-    pub scaling: Scaling<'a>,
-}
-
-impl<'a> Blocks<'a> {
-    /// Number of rows, without those that fill up the last block.
-    #[inline]
-    pub fn len(&self) -> usize {
-        self.scaling.scale.len()
-    }
-
-    #[inline]
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// The blocks, four rows each: four columns of them at a time.
-    #[inline]
-    pub fn blocks(&self) -> impl Iterator<Item = &'a [[u8; BLOCK * BLOCK]]> {
-        self.weights.chunks_exact(self.fours.max(1))
-    }
-}
-
-/// What one state brings to the memory and to the mouth. Slices are empty where the chain does not own them.
-#[derive(Clone, Copy, Debug)]
-pub struct Gate<'a> {
-    /// i8 two's complement `[H]`.
-    pub gain: &'a [u8],
-    /// i8 two's complement `[H]`.
-    pub drive: &'a [u8],
-    /// i8 two's complement `[D]`.
-    pub offset: &'a [u8],
-    /// Codes of [`crate::mge::rate`] `[H]`.
-    pub rate: &'a [u8],
-    /// Of gain, drive and offset, LSB 2⁻²⁴.
-    pub scale: [i32; 3],
-}
-
-/// One row of a matrix with i16 mantissas: (Σ weight·input >> shift) ± offset.
-#[derive(Clone, Copy, Debug)]
-pub struct SumRow<'a> {
-    pub weights: I16s<'a>,
-    /// At most 40.
-    pub shift: u32,
-    /// Within ±2³⁰.
-    pub offset: i32,
-}
-
-/// One row of a residual map.
-#[derive(Clone, Copy, Debug)]
-pub struct StateRow<'a> {
-    /// i8 two's complement, `[X]`
-    pub weights: &'a [u8],
-    /// Q8.8: parameter LSBs per unit of x and LSB of the weights.
-    pub scale: u16,
-    /// Parameter LSBs.
-    pub bias: i16,
-}
-
-/// Constant of a density; None for one that is not used.
-fn constant_of(bytes: [u8; 4]) -> Option<LogProb> {
-    let constant = i32::from_le_bytes(bytes);
-    (constant != field::NO_DENSITY).then_some(LogProb::from_q12(constant))
 }
 
 pub(super) fn u8_at(bytes: &[u8], at: usize) -> u8 {
