@@ -1,11 +1,10 @@
 //! What the firmware with the shipped model takes of a device: image, RAM, stack.
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 use object::{Object, ObjectSection};
 
-use crate::host::Numbers;
+use crate::host::{Numbers, cargo_build, qemu, raw};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 const PROGRAM: &str = "mps2-an386";
@@ -36,7 +35,11 @@ pub(crate) const MOST: [(&str, u64); 3] = [
 
 /// Builds it as it is flashed, and lets it hear the shipped sound.
 pub(crate) fn measure(root: &Path) -> Result<Numbers> {
-    let program = build(root)?;
+    let what = ["--profile", "firmware", "-p", "lipstream-firmware"];
+    let which = ["--features", PROGRAM, "--bin", PROGRAM];
+    let program = cargo_build(root, TARGET, &[what, which].concat())?
+        .join("firmware")
+        .join(PROGRAM);
     let bytes = std::fs::read(&program).with_context(|| program.display().to_string())?;
     let file = object::File::parse(&*bytes)?;
     let size = |names: &[&str]| -> u64 {
@@ -46,7 +49,7 @@ pub(crate) fn measure(root: &Path) -> Result<Numbers> {
     let image = size(&[".vector_table", ".text", ".rodata", ".data"]);
     let lives_on = size(&[".data", ".bss", ".uninit"]);
     let tables = std::fs::metadata(root.join("models/grid-s1.tables"))?.len();
-    let (starting, running) = stack(&program, &root.join("data/hello.wav"))?;
+    let (starting, running) = stack(&program, root.join("data/hello.wav"))?;
     let numbers = [
         ("bytes tables", tables),
         ("bytes rest", image - tables),
@@ -60,46 +63,11 @@ pub(crate) fn measure(root: &Path) -> Result<Numbers> {
     Ok(numbers.map(|(name, value)| (name.to_owned(), value)).into())
 }
 
-fn build(root: &Path) -> Result<PathBuf> {
-    let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-    let status = Command::new(cargo)
-        .current_dir(root)
-        .args([
-            "build",
-            "--locked",
-            "--profile",
-            "firmware",
-            "-p",
-            "lipstream-firmware",
-        ])
-        .args(["--features", PROGRAM, "--bin", PROGRAM, "--target", TARGET])
-        .status()?;
-    if !status.success() {
-        bail!("cannot build the firmware for {TARGET} (`rustup target add {TARGET}`?)");
-    }
-    let folder = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-    Ok(folder.join(TARGET).join("firmware").join(PROGRAM))
-}
-
 /// Bytes of stack to make the stream and to run it, as the program says them itself.
-fn stack(program: &Path, sound: &Path) -> Result<(u64, u64)> {
+fn stack(program: &Path, sound: PathBuf) -> Result<(u64, u64)> {
     let folder = tempfile::tempdir()?;
-    let samples = lipstream::audio::read(sound)?.samples;
-    let bytes: Vec<u8> = samples.iter().flat_map(|s| s.to_le_bytes()).collect();
-    std::fs::write(folder.path().join("input.pcm"), bytes)?;
-    let output = Command::new("qemu-system-arm")
-        .args([
-            "-machine", PROGRAM, "-display", "none", "-monitor", "none", "-serial", "null",
-        ])
-        .args([
-            "-semihosting-config",
-            "enable=on,target=native,arg=lipstream,arg=--files",
-        ])
-        .arg("-kernel")
-        .arg(program.canonicalize()?)
-        .current_dir(folder.path())
-        .output()
-        .context("qemu-system-arm (Debian's package of that name) is needed")?;
+    std::fs::write(folder.path().join("input.pcm"), raw(&[sound])?)?;
+    let output = qemu(program, folder.path(), &[PROGRAM, "--files"])?;
     let said = String::from_utf8_lossy(&output.stdout);
     let numbers: Vec<u64> = said
         .split_whitespace()

@@ -30,7 +30,7 @@ fn main() -> anyhow::Result<()> {
 mod host {
     use std::collections::BTreeMap;
     use std::path::{Path, PathBuf};
-    use std::process::Command;
+    use std::process::{Command, Output};
 
     use anyhow::{Context, Result, bail};
     use object::{Object, ObjectSection, ObjectSymbol};
@@ -142,12 +142,7 @@ mod host {
         let folder = tempfile::tempdir()?;
         std::fs::copy(tables, folder.path().join("model.tables"))
             .with_context(|| tables.display().to_string())?;
-        let mut raw = Vec::new();
-        for sound in sounds {
-            let samples = lipstream::audio::read(sound)?.samples;
-            raw.extend(samples.iter().flat_map(|s| s.to_le_bytes()));
-        }
-        std::fs::write(folder.path().join("sound.raw"), raw)?;
+        std::fs::write(folder.path().join("sound.raw"), raw(sounds)?)?;
         if let Some(exponent) = feedback {
             std::fs::write(folder.path().join("feedback.raw"), exponent.to_le_bytes())?;
         }
@@ -167,48 +162,56 @@ mod host {
 
     /// Builds an example for a target.
     fn build(root: &Path, target: &str, example: &str) -> Result<PathBuf> {
+        let what = ["--release", "-p", "lipstream-tests", "--example", example];
+        Ok(cargo_build(root, target, &what)?
+            .join("release/examples")
+            .join(example))
+    }
+
+    /// `cargo build` of `what` for a target; the target's folder.
+    pub(crate) fn cargo_build(root: &Path, target: &str, what: &[&str]) -> Result<PathBuf> {
         let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
-        let arguments = [
-            "build",
-            "--release",
-            "-p",
-            "lipstream-tests",
-            "--example",
-            example,
-        ];
         let status = Command::new(cargo)
             .current_dir(root)
-            .args(arguments)
-            .args(["--target", target])
+            .args(["build", "--locked", "--target", target])
+            .args(what)
             .status()?;
         if !status.success() {
-            bail!("cannot build {example} for {target} (`rustup target add {target}`?)");
+            bail!("cannot build {what:?} for {target} (`rustup target add {target}`?)");
         }
         let folder = std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from);
-        Ok(folder.join(target).join("release/examples").join(example))
+        Ok(folder.join(target))
+    }
+
+    /// Runs a program in QEMU's mps2-an386 in `folder`, its instructions counted; `words` are what it is started with.
+    pub(crate) fn qemu(program: &Path, folder: &Path, words: &[&str]) -> Result<Output> {
+        let mut semihosting = "enable=on,target=native".to_owned();
+        for word in words {
+            semihosting += &format!(",arg={word}");
+        }
+        Command::new("qemu-system-arm")
+            .args(["-machine", "mps2-an386", "-display", "none", "-monitor", "none"])
+            .args(["-serial", "null", "-icount", "shift=6,align=off,sleep=off"])
+            .args(["-semihosting-config", &semihosting, "-kernel"])
+            .arg(program.canonicalize()?)
+            .current_dir(folder)
+            .output()
+            .context("qemu-system-arm (Debian's package of that name) is needed")
+    }
+
+    /// Samples of sounds one after the other, as bytes.
+    pub(crate) fn raw(sounds: &[PathBuf]) -> Result<Vec<u8>> {
+        let mut raw = Vec::new();
+        for sound in sounds {
+            let samples = lipstream::audio::read(sound)?.samples;
+            raw.extend(samples.iter().flat_map(|s| s.to_le_bytes()));
+        }
+        Ok(raw)
     }
 
     /// Runs a counting program in QEMU in `folder`: lines of a name and a number.
     fn run(program: &Path, folder: &Path) -> Result<Numbers> {
-        let program = program.canonicalize()?;
-        let output = Command::new("qemu-system-arm")
-            .args([
-                "-machine",
-                "mps2-an386",
-                "-display",
-                "none",
-                "-monitor",
-                "none",
-                "-serial",
-                "null",
-            ])
-            .args(["-icount", "shift=6,align=off,sleep=off"])
-            .args(["-semihosting-config", "enable=on,target=native"])
-            .arg("-kernel")
-            .arg(&program)
-            .current_dir(folder)
-            .output()
-            .context("qemu-system-arm (Debian's package of that name) is needed")?;
+        let output = qemu(program, folder, &[])?;
         let text = String::from_utf8_lossy(&output.stdout);
         if !output.status.success() {
             bail!("{} failed: {text}", program.display());
