@@ -21,11 +21,12 @@ use lipstream::mge::model::MgeModel;
 use lipstream::mge::rounding::rounded;
 use lipstream::model::Model;
 use lipstream::tensors::Tensors;
+use lipstream_core::hmm::transition::MAX_JOINT_STATES;
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
 use lipstream_core::model::Model as Tables;
 use lipstream_core::model::field::limit;
 use lipstream_core::stream::{FRAMES, Settings, TOKENS};
-use ndarray::s;
+use ndarray::{Array2, s};
 use rayon::prelude::*;
 
 fn main() -> Result<()> {
@@ -53,12 +54,21 @@ fn show(name: &str, score: Score) {
     println!("{name}: AMSE {:.1}, ACC {:.4}", score.amse(), score.acc());
 }
 
+/// The score of what was said of each clip.
+fn judged<'a>(clips: &[Truth], said: impl IntoIterator<Item = &'a Array2<f32>>) -> Score {
+    let mut score = Score::new(clips.first().map_or(0, |clip| clip.visual.ncols()));
+    for (clip, parameters) in clips.iter().zip(said) {
+        score.add(&clip.visual, parameters);
+    }
+    score
+}
+
 fn bits(bits: i32) -> Option<LogProb> {
     Some(LogProb::from_q12(bits << FRACTION_BITS))
 }
 
-/// Every joint state that there can be.
-const ALL: usize = 1872;
+/// Room for every joint state that there can be.
+const ALL: usize = MAX_JOINT_STATES;
 
 fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> {
     let lag = model.following.lag;
@@ -68,11 +78,7 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
     ] {
         let said = clips.par_iter().map(|clip| convert(model, &clip.audio, lag));
         let said: Vec<_> = said.collect::<Result<_>>()?;
-        let mut score = Score::new(model.visual_size());
-        for (clip, (parameters, _)) in clips.iter().zip(&said) {
-            score.add(&clip.visual, parameters);
-        }
-        show(name, score);
+        show(name, judged(clips, said.iter().map(|(parameters, _)| parameters)));
     }
     let tables = export(model, &ExportSettings::of(model))?.bytes;
     let tables = Tables::new_checked(&tables)?;
@@ -87,11 +93,7 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
             _ => stream(&tables, sound, settings),
         });
         let said: Vec<_> = said.collect::<Result<_>>()?;
-        let mut score = Score::new(model.visual_size());
-        for (clip, said) in clips.iter().zip(&said) {
-            score.add(&clip.visual, &said.parameters);
-        }
-        Ok(score)
+        Ok(judged(clips, said.iter().map(|said| &said.parameters)))
     };
     show("integers, no beam", device(ALL, Some(none))?);
     for width in [32, 24, 20, 16] {
@@ -117,12 +119,11 @@ fn of_mge(model: &MgeModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> 
     };
     show("floats", score(model, 0, false));
     for sums in [Sums::Exact, Sums::Table] {
-        let mut score = Score::new(model.deviation.len());
-        for clip in clips {
-            let said = live::convert_with_sums(model, clip.audio.view(), sums).parameters;
-            score.add(&clip.visual, &said);
-        }
-        show(&format!("logs of 12 bits, {sums:?} sums"), score);
+        let said = clips
+            .iter()
+            .map(|clip| live::convert_with_sums(model, clip.audio.view(), sums).parameters);
+        let said: Vec<_> = said.collect();
+        show(&format!("logs of 12 bits, {sums:?} sums"), judged(clips, &said));
     }
     for bits in [8, 7, 6, 5, 4] {
         show(&format!("{bits} bits"), score(&rounded(model, bits), 0, false));
@@ -170,11 +171,11 @@ fn of_mge(model: &MgeModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> 
         ("… and settled: the device", Settings::default()),
     ];
     for (name, settings) in steps {
-        let mut score = Score::new(model.deviation.len());
-        for (clip, sound) in clips.iter().zip(sounds) {
-            score.add(&clip.visual, &stream(&tables, sound, settings)?.parameters);
-        }
-        show(name, score);
+        let said = sounds
+            .iter()
+            .map(|sound| Ok(stream(&tables, sound, settings)?.parameters));
+        let said: Vec<_> = said.collect::<Result<_>>()?;
+        show(name, judged(clips, &said));
     }
     for from in [50, 100, 150] {
         show(

@@ -52,7 +52,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         bytes: args.flash.map(|kib| kib * 1024),
         instructions: args.cycles,
     };
-    let (sources, candidates) = candidates(&args)?;
+    let (mut sources, candidates) = candidates(&args)?;
     let Some(chosen) = budget::choose(&candidates, &budget) else {
         let limits = [
             args.flash.map(|kib| format!("{kib} KiB")),
@@ -79,7 +79,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         }
     }
     let chosen = &candidates[chosen];
-    let exported = &sources[chosen.model].export(chosen.beam_bits)?;
+    let exported = sources[chosen.model].tables(chosen.beam_bits)?;
     let size = exported.bytes.len();
     files::write_bytes(&args.output, &exported.bytes)?;
     if args.json {
@@ -109,12 +109,23 @@ pub(crate) fn run(args: Args) -> Result<()> {
 }
 
 /// A model and what its tables are made with, but for the beam.
-enum Source {
+enum Kind {
     Likelihood(Box<Model>, ExportSettings),
     Mge(Box<MgeModel>),
 }
 
-impl Source {
+/// A model with its tables for the beam that was asked for, or its own.
+struct Source {
+    kind: Kind,
+    beam_bits: f64,
+    export: Export,
+}
+
+/// Beams that a budget of instructions may choose from, bits, for a model with a memory. What a narrower one costs a
+/// likelihood-trained model goes with its acoustic scale: there it is not touched.
+const BEAMS: [f64; 8] = [14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0];
+
+impl Kind {
     fn read(path: &Path, args: &Args) -> Result<Self> {
         if MgeModel::is_kind(&Tensors::read(path)?) {
             if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average || args.visual_densities
@@ -145,57 +156,67 @@ impl Source {
         }
     }
 
-    /// Beams that a budget of instructions may choose from, bits. What a narrower one costs a likelihood-trained model goes with
-    /// its acoustic scale: there it is not touched.
-    fn beams(&self, own: f64) -> Vec<f64> {
-        match self {
-            Self::Likelihood(..) => vec![own],
-            Self::Mge(_) => vec![14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0],
-        }
-    }
-
     fn export(&self, beam_bits: f64) -> Result<Export> {
         match self {
-            Self::Likelihood(model, settings) => {
-                let settings = ExportSettings {
+            Self::Likelihood(model, settings) => export(
+                model,
+                &ExportSettings {
                     beam_bits,
                     ..*settings
-                };
-                export(model, &settings)
-            }
+                },
+            ),
             Self::Mge(model) => export_mge(model, &MgeSettings { beam_bits }),
         }
+    }
+}
+
+impl Source {
+    fn read(path: &Path, args: &Args) -> Result<Self> {
+        let kind = Kind::read(path, args)?;
+        let beam_bits = args.beam.unwrap_or(kind.own_beam_bits());
+        let export = kind.export(beam_bits)?;
+        Ok(Self {
+            kind,
+            beam_bits,
+            export,
+        })
     }
 
     /// Every beam that is in question.
     fn candidates(&self, n: usize, args: &Args) -> Result<Vec<Candidate>> {
-        let own = args.beam.unwrap_or(self.own_beam_bits());
-        let beams = match (args.beam, args.cycles) {
-            (None, Some(_)) => self.beams(own),
-            _ => vec![own],
-        };
-        let bytes = self.export(own)?.bytes;
-        let tables = Tables::new_checked(&bytes)?;
-        let sound = audio::decode(shipped::SOUND)?.samples;
-        let cost = |beam_bits: f64| match self {
-            Self::Likelihood(..) => {
-                let active = budget::mean_active(&tables, &sound, beam_bits);
-                budget::instructions_by_likelihood(&tables, active)
-            }
-            Self::Mge(model) => budget::instructions(model, beam_bits),
-        };
-        let validation = match self {
-            Self::Likelihood(..) => None,
-            Self::Mge(model) => model.validation_amse,
-        };
-        let candidate = |beam_bits: &f64| Candidate {
+        let candidate = |beam_bits: f64, instructions: f64, validation: Option<f64>| Candidate {
             model: n,
-            beam_bits: *beam_bits,
-            bytes: bytes.len(),
-            instructions: cost(*beam_bits),
+            beam_bits,
+            bytes: self.export.bytes.len(),
+            instructions,
             validation,
         };
-        Ok(beams.iter().map(candidate).collect())
+        Ok(match &self.kind {
+            Kind::Likelihood(..) => {
+                let tables = Tables::new_checked(&self.export.bytes)?;
+                let active = budget::mean_active(&tables, &audio::decode(shipped::SOUND)?.samples);
+                let instructions = budget::instructions_by_likelihood(&tables, active);
+                vec![candidate(self.beam_bits, instructions, None)]
+            }
+            Kind::Mge(model) => {
+                let beams = match (args.beam, args.cycles) {
+                    (None, Some(_)) => &BEAMS[..],
+                    _ => &[self.beam_bits],
+                };
+                let cost =
+                    |beam: &f64| candidate(*beam, budget::instructions(model, *beam), model.validation_amse);
+                beams.iter().map(cost).collect()
+            }
+        })
+    }
+
+    /// The tables for one of the beams.
+    fn tables(&mut self, beam_bits: f64) -> Result<&Export> {
+        if beam_bits != self.beam_bits {
+            self.export = self.kind.export(beam_bits)?;
+            self.beam_bits = beam_bits;
+        }
+        Ok(&self.export)
     }
 }
 

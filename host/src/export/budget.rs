@@ -20,7 +20,6 @@
 //! ```
 //!
 //! within 7 % of eighteen counts.
-use lipstream_core::logmath::{FRACTION_BITS, LogProb};
 use lipstream_core::model::Model as Tables;
 use lipstream_core::stream::{Settings, Stream};
 
@@ -73,15 +72,9 @@ pub fn instructions_by_likelihood(tables: &Tables, active: f64) -> f64 {
     92_000.0 + 1_450.0 * d + active * (570.0 + 150.0 * k + 1_650.0 * lag / (lag + 3.6))
 }
 
-/// Active joint states of a hop on average over a sound, with a beam of so many bits.
-pub fn mean_active(tables: &Tables, samples: &[i16], beam_bits: f64) -> f64 {
-    let settings = Settings {
-        beam: Some(LogProb::from_q12(
-            (beam_bits * f64::from(1 << FRACTION_BITS)) as i32,
-        )),
-        ..Settings::default()
-    };
-    let mut stream = Stream::new(tables, settings);
+/// Active joint states of a hop on average over a sound, with the tables' own beam and lag.
+pub fn mean_active(tables: &Tables, samples: &[i16]) -> f64 {
+    let mut stream = Stream::new(tables, Settings::default());
     let (mut rest, mut active, mut frames) = (samples, 0, 0);
     while !rest.is_empty() {
         let (taken, frame) = stream.push(rest);
