@@ -86,7 +86,7 @@ impl Scaling<'_> {
     }
 }
 
-/// A matrix of i8 weights row by row, see [`Matrix`].
+/// A matrix of i8 weights row by row, see [`Matrix`](super::field::Matrix).
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
     pub(super) weights: &'a [[u8; BLOCK]],
