@@ -34,7 +34,7 @@ fn main() {
         ("stream/feedback.frames", &said(with_feedback())),
     ] {
         let path = folder.join(name);
-        lipstream::files::write_bytes(&path, bytes).expect("the vectors' folder can be written");
+        lipstream_media::files::write_bytes(&path, bytes).expect("the vectors' folder can be written");
         println!("{}: {} bytes", path.display(), bytes.len());
     }
 }

@@ -1,6 +1,6 @@
 //! The front end, stage by stage and whole: the same bytes on the host and in QEMU.
 //!
-//! The vectors are six windows and a short synthetic voice. `cargo run -p lipstream --example vectors` writes them;
+//! The vectors are six windows and a short synthetic voice. `cargo xtask vectors` writes them;
 //! the host's tests hold the same stages against their `f64` twins.
 use lipstream_core::frontend::energy::{self, Energy};
 use lipstream_core::frontend::fft::{self, Complex, FFT_HALF};

@@ -4,10 +4,11 @@ mod common;
 use std::path::Path;
 
 use common::program::{refuse, run, succeed};
-use lipstream::features::FeatureFolder;
-use lipstream::{audio, htk, reference};
+use lipstream::{htk, reference};
 use lipstream_core::frontend::{Config, FrontEnd};
 use lipstream_core::{N_OBSERVATION, N_STATIC};
+use lipstream_make::features::FeatureFolder;
+use lipstream_media::sound;
 use ndarray::Array2;
 
 fn hello() -> String {
@@ -222,7 +223,7 @@ fn bad_input_gets_one_line() {
         assert!(error.contains(name), "{error}");
     }
     // 24.9 ms: shorter than a window.
-    audio::write(&folder.join("short.wav"), &[100; 399]).unwrap();
+    sound::write(&folder.join("short.wav"), &[100; 399]).unwrap();
     let error = refuse(&folder, &["features", "short.wav", "-o", "out.htk"]);
     assert!(error.contains("short.wav") && error.contains("25 ms"), "{error}");
     // Wrong words.

@@ -269,7 +269,7 @@ fn ten_minutes_of_speech_give_the_hosts_bytes() {
     let samples: Vec<i16> = sounds
         .iter()
         .cycle()
-        .flat_map(|path| lipstream::audio::read(path).expect("speech").samples)
+        .flat_map(|path| lipstream_media::sound::read(path).expect("speech").samples)
         .take(LENGTH)
         .collect();
     let firmware = firmware();

@@ -1,6 +1,6 @@
 //! DCT-II, lifter and ln 2 in one matrix.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 6.0e-5.
 
 /// ln 2·√(2/26)·(1 + 11·sin(πn/22))·cos(πn(j + ½)/26), Q13; n = 1..=12, j = 0..=12.

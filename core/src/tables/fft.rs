@@ -1,6 +1,6 @@
 //! Rotations of the transform, cos and sin in Q31.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 4.7e-10.
 
 /// cos, sin of 2πki/256 for k = 1, 2, 3; one row for each i.

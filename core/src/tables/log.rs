@@ -1,6 +1,6 @@
 //! Base-2 logarithms of one octave.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 7.6e-6.
 
 /// log₂(1 + i/64), Q16, for i = 0..=64.

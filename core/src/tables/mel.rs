@@ -1,6 +1,6 @@
 //! The mel filterbank of 26 channels over 0 Hz to 8 kHz.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 7.5e-6.
 
 /// Bins between the centre of channel i − 1 and that of channel i; the band's edges count as centres.

@@ -1,4 +1,4 @@
-//! Generated constants. Each file names the command that made it and its error; `host/src/reference/tables.rs`
+//! Generated constants. Each file names the command that made it and its error; `xtask/src/generated.rs`
 //! computes them, and a test checks that the files are what it computes.
 
 pub mod dct;

@@ -1,6 +1,6 @@
 //! Square roots; errors are relative, at the ends of a step.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 2.0e-3.
 
 /// √((i + ½)·2²¹) for i = 128..1024, 0 below.

@@ -1,6 +1,6 @@
 //! Hamming window over N − 1, N = 400.
 //!
-//! Made by `cargo run -p lipstream --example tables`; do not edit.
+//! Made by `cargo xtask tables`; do not edit.
 //! Largest error of an entry: 2.3e-10.
 
 /// Weights, Q31.

@@ -203,7 +203,7 @@ mod host {
     pub(crate) fn raw(sounds: &[PathBuf]) -> Result<Vec<u8>> {
         let mut raw = Vec::new();
         for sound in sounds {
-            let samples = lipstream::audio::read(sound)?.samples;
+            let samples = lipstream_media::sound::read(sound)?.samples;
             raw.extend(samples.iter().flat_map(|s| s.to_le_bytes()));
         }
         Ok(raw)

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use lipstream::export::{ExportSettings, export};
-use lipstream::model::{Mixtures, Model};
+use lipstream::hmm::mixtures::Mixtures;
+use lipstream::kinds::likelihood::Model;
 use ndarray::{Array1, Array2, Array3, ArrayViewMut1, Axis};
 
 /// Prints a table.

@@ -40,7 +40,7 @@ pub(crate) fn hello() -> Vec<i16> {
 }
 
 /// A random model as large as a real one, with a drawn mouth.
-pub(crate) fn synthetic_model() -> lipstream::model::Model {
+pub(crate) fn synthetic_model() -> lipstream::kinds::likelihood::Model {
     let mut rng = rand_pcg::Pcg64::seed_from_u64(8);
     let sizes = synthetic::Sizes::full();
     let mut model = synthetic::model(&sizes, 1.0, &mut rng);

@@ -1,0 +1,102 @@
+//! Words on the command line that stand for a library's choices: the libraries know nothing of a command line.
+
+/// An enum of words that the arguments take, each of which stands for the library's variant of the same name.
+macro_rules! choice {
+    ($(#[$about:meta])* $name:ident for $library:path { $($(#[$help:meta])* $variant:ident),+ $(,)? }) => {
+        $(#[$about])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+        pub(crate) enum $name {
+            $($(#[$help])* $variant),+
+        }
+
+        impl From<$name> for $library {
+            fn from(word: $name) -> Self {
+                type Library = $library;
+                match word {
+                    $($name::$variant => Library::$variant),+
+                }
+            }
+        }
+
+        impl From<$library> for $name {
+            fn from(choice: $library) -> Self {
+                type Library = $library;
+                match choice {
+                    $(Library::$variant => Self::$variant),+
+                }
+            }
+        }
+    };
+}
+
+choice! {
+    /// The arithmetic that runs a model.
+    Engine for lipstream::engine::Kind {
+        /// The device's own code and tables
+        Fixed,
+        /// Floats, no beam
+        Float,
+    }
+}
+
+choice! {
+    /// How long a mouth may wait for the sound that follows (`docs/design.md`, section 5).
+    Profile for lipstream_core::wire::Profile {
+        /// At most 45 ms
+        Live,
+        /// At most 80 ms
+        Standard,
+        /// Without limit
+        Studio,
+    }
+}
+
+choice! {
+    /// What a clip is for.
+    Split for lipstream_make::features::Split {
+        /// Training
+        Train,
+        /// Validation: choices are made on it
+        Val,
+        /// Test: reported, never chosen on
+        Test,
+    }
+}
+
+choice! {
+    /// A label format.
+    Labels for lipstream_make::align::write::Format {
+        /// HTK: start and end in 100 ns, phone, score, and the word at its first phone
+        Lab,
+        /// Praat: tiers "words" and "phones"
+        Textgrid,
+        /// TIMIT: phones in samples, the words in a .wrd file beside it
+        Phn,
+        /// Times in seconds
+        Json,
+    }
+}
+
+choice! {
+    /// What the mouth's last output feeds into the visual emissions.
+    Feedback for lipstream::kinds::recurrent::parameters::Feedback {
+        /// Nothing: the sound alone moves the states
+        None,
+        /// The last mouth parameters
+        Output,
+        /// The last memory
+        Memory,
+    }
+}
+
+choice! {
+    /// Which chain's states own tables.
+    Gate for lipstream::kinds::recurrent::parameters::Gate {
+        /// The phone states
+        Audio,
+        /// The viseme states
+        Visual,
+        /// Both
+        Both,
+    }
+}

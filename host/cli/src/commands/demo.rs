@@ -1,0 +1,128 @@
+//! `lipstream demo`: the shipped model on the shipped speech.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use indicatif::ProgressBar;
+use lipstream_core::SAMPLE_RATE_HZ;
+
+use super::render::name;
+use lipstream::cues::{self, Format};
+use lipstream::engine::{Converted, Engine, Kind, RunSettings};
+use lipstream::mouth::MouthSpace;
+use lipstream::render::{self, Settings, page};
+use lipstream::shipped::{MODEL, SOUND, TABLES};
+use lipstream::tensors::Tensors;
+use lipstream_media::{files, sound};
+
+/// Run the shipped model on the shipped speech: video, page, cues
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder to write to [default: out, or a temporary folder where that cannot be written]
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Another model (.safetensors)
+    #[arg(short, long)]
+    model: Option<PathBuf>,
+    /// Other speech: WAV, FLAC, MP3 or Ogg Vorbis
+    #[arg(long)]
+    wav: Option<PathBuf>,
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    let (sound, wav_name) = match &args.wav {
+        Some(wav) => (sound::read(wav)?.samples, name(wav)),
+        None => (sound::decode(SOUND)?.samples, "hello.wav".to_owned()),
+    };
+    let (tensors, engine) = match &args.model {
+        Some(path) => (Tensors::read(path)?, Engine::open(path, Kind::Fixed)?),
+        None => (
+            Tensors::parse(MODEL, "the shipped model")?,
+            Engine::fixed(TABLES.to_vec())?,
+        ),
+    };
+    if !tensors.has("mouth.mean") {
+        bail!("the model has no mouth, there is nothing to draw");
+    }
+    let space = MouthSpace::load(&tensors)?;
+    let converted = engine.convert(&sound, &RunSettings::default())?;
+    let folder = folder(args.output.as_deref())?;
+    write(&folder, &wav_name, &sound, &space, &converted)
+}
+
+/// Makes the folder; one that was not asked for by name may be a temporary one.
+fn folder(asked: Option<&Path>) -> Result<PathBuf> {
+    let folder = asked.unwrap_or(Path::new("out"));
+    let made = std::fs::create_dir_all(folder).and_then(|()| {
+        // A folder may exist and not be ours to write in.
+        tempfile::tempfile_in(folder).map(drop)
+    });
+    match made {
+        Ok(()) => Ok(folder.to_owned()),
+        Err(_) if asked.is_none() => {
+            let temporary = tempfile::Builder::new().prefix("lipstream-").tempdir()?;
+            Ok(temporary.keep())
+        }
+        Err(error) => Err(error).with_context(|| format!("cannot write in {}", folder.display())),
+    }
+}
+
+/// Video, page and cue files, and a line about each.
+fn write(
+    folder: &Path,
+    wav_name: &str,
+    sound: &[i16],
+    space: &MouthSpace,
+    converted: &Converted,
+) -> Result<()> {
+    let stem = Path::new(wav_name)
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy();
+    let file = |ending: &str| folder.join(format!("{stem}.{ending}"));
+    let seconds = sound.len() as f64 / f64::from(SAMPLE_RATE_HZ);
+    let cues = cues::cues(converted.visemes.view(), seconds)
+        .with_context(|| format!("{wav_name} gives no mouth"))?;
+    let bar = ProgressBar::new(0).with_message("pictures");
+    let settings = Settings::default();
+    let rendered = render::to_mp4(
+        space,
+        converted.parameters.view(),
+        Some(sound),
+        &settings,
+        |done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        },
+    )?;
+    bar.finish_and_clear();
+
+    let video = file("mp4");
+    files::write_bytes(&video, &rendered.mp4)?;
+    let html = file("html");
+    let text = page::write(&page::Page {
+        title: wav_name,
+        mp4: &rendered.mp4,
+        sound,
+        viseme_weights: converted.visemes.view(),
+        parameters: converted.parameters.view(),
+        deviation: space.deviation.view(),
+        cues: &cues,
+    })?;
+    files::write_bytes(&html, text.as_bytes())?;
+    let mut cue_files = Vec::new();
+    for format in Format::ALL {
+        let path = file(format.ending());
+        files::write_bytes(&path, cues::write(format, &cues, wav_name).as_bytes())?;
+        cue_files.push(path.display().to_string());
+    }
+    println!(
+        "video  {}  ({:.1} s, {}×{}, with sound)",
+        video.display(),
+        seconds,
+        rendered.width,
+        rendered.height
+    );
+    println!("page   {}  (open it in a browser)", html.display());
+    println!("cues   {}", cue_files.join(" "));
+    Ok(())
+}

@@ -1,0 +1,263 @@
+//! `lipstream evaluate`: measures systems on a feature folder.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+
+use super::choices;
+use lipstream::hmm::system::Speech;
+use lipstream::kinds::likelihood::Model;
+use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::tensors::Tensors;
+use lipstream_make::evaluate::{
+    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, look_ahead, models, systems,
+};
+use lipstream_make::features::FeatureFolder;
+use lipstream_make::train;
+
+/// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Feature folder with video (made by `lipstream prepare`)
+    dir: PathBuf,
+    /// Model to measure, beside the mean and ridge regression
+    #[arg(short, long, value_name = "MODEL.safetensors")]
+    model: Option<PathBuf>,
+    /// Systems of the papers to measure: names separated by commas, or `all`. Those that are not in --models are trained
+    #[arg(long, value_name = "NAMES")]
+    systems: Option<String>,
+    /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
+    #[arg(long, value_name = "DIR")]
+    models: Option<PathBuf>,
+    /// Feature folder whose sound trains the systems too; may be given many times
+    #[arg(long, value_name = "DIR", requires = "systems")]
+    audio: Vec<PathBuf>,
+    /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
+    #[arg(long, value_name = "NAME=FOLDER")]
+    predictions: Vec<String>,
+    /// Clips to measure on
+    #[arg(long, default_value = "test")]
+    split: choices::Split,
+    /// Report to write: a folder (page, tables and JSON, with noise and cold starts), or a .md, .html or .json file
+    #[arg(short, long, value_name = "REPORT")]
+    output: Option<PathBuf>,
+    /// System that the others are compared with [default: ph-vi-chmm]
+    #[arg(long, value_name = "NAME")]
+    against: Option<String>,
+    /// Measure in white noise and babble, 20 to 0 dB
+    #[arg(long)]
+    noise: bool,
+    /// Systems that hear the noise (several times; default: all)
+    #[arg(long, value_name = "NAME")]
+    noise_system: Vec<String>,
+    /// Feature folder whose training clips babble [default: DIR]
+    #[arg(long, value_name = "DIR")]
+    babble: Option<PathBuf>,
+    /// Measure streams that start in mid-clip
+    #[arg(long)]
+    cold: bool,
+    /// Neither noise nor cold starts, also for a folder
+    #[arg(long, conflicts_with_all = ["noise", "cold", "noise_system", "babble"])]
+    quick: bool,
+    /// Resamples of the intervals and tests
+    #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
+    resamples: u32,
+    /// Seed of resamples, noise and starts
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Width of the device's beam in bits [default: the exported one]
+    #[arg(long)]
+    beam: Option<f64>,
+    /// Print JSON instead of the tables
+    #[arg(long)]
+    json: bool,
+}
+
+/// The last part of a path: a report is read on other machines.
+fn short(path: &Path) -> String {
+    path.file_name()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned()
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    let destination = args.output.as_deref().map(Destination::of).transpose()?;
+    let folder = FeatureFolder::open(&args.dir)?;
+    let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
+    let settings = settings(&args, full)?;
+    let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();
+    let trained = trained.flatten();
+    let chosen = args
+        .systems
+        .as_deref()
+        .map(systems::parse)
+        .transpose()?
+        .unwrap_or_default();
+    let store = args.models.clone().or_else(|| {
+        let folder = destination.as_ref().filter(|d| d.is_folder());
+        folder
+            .and(args.output.as_ref())
+            .map(|output| output.join("models"))
+    });
+    let stored = match store {
+        _ if chosen.is_empty() => Vec::new(),
+        None => bail!("say with --models where the systems' models are, or write a report folder with -o"),
+        Some(store) => {
+            let heard = args
+                .audio
+                .iter()
+                .map(|path| FeatureFolder::open(path))
+                .collect::<Result<Vec<_>>>()?;
+            let training = train::Settings::default();
+            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &|line| {
+                eprintln!("{line}")
+            })?
+        }
+    };
+    let mut candidates = vec![models::mean(folder.manifest.visual_size)];
+    candidates.extend(models::ridge(&folder, full)?);
+    if let Some(model) = &model {
+        candidates.extend(match model.system.speech {
+            Speech::LocalLinear => models::of_model(&folder, model, args.beam)?,
+            // The device does not speak by means; a system that is measured anyway stands there once.
+            _ if chosen.contains(&model.system) => Vec::new(),
+            _ => systems::candidates(&[model.system], std::slice::from_ref(model))?,
+        });
+    }
+    if let Some(trained) = &trained {
+        candidates.extend(models::of_mge(&folder, trained, args.beam)?);
+    }
+    candidates.extend(systems::candidates(&chosen, &stored)?);
+    if full {
+        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &|line| {
+            eprintln!("{line}")
+        })?);
+        if let Some(trained) = &trained {
+            candidates.extend(look_ahead::of_mge(trained, "mge, one model"));
+        }
+    }
+    for given in &args.predictions {
+        candidates.push(predictions(given)?);
+    }
+    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &|what| {
+        eprintln!("measuring: {what}")
+    })?;
+    if args.json {
+        print!("{}", evaluate::json(&report)?);
+    } else {
+        print!("{}", evaluate::markdown(&Heading::default(), &report));
+    }
+    if let Some(destination) = destination {
+        let heading = Heading {
+            title: "AMSE and ACC".to_owned(),
+            command: command(&args),
+            provenance: match (&trained, &model) {
+                (Some(trained), _) => trained.provenance.clone(),
+                (None, Some(model)) => model.provenance.clone(),
+                (None, None) => String::new(),
+            },
+        };
+        for path in destination.write(&heading, &report)? {
+            eprintln!("written: {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// A model trained by likelihood; or one trained on its error, after the twin that it came from.
+fn read(path: &Path) -> Result<(Model, Option<MgeModel>)> {
+    if MgeModel::is_kind(&Tensors::read(path)?) {
+        let trained = MgeModel::read(path)?;
+        return Ok((trained.twin.clone(), Some(trained)));
+    }
+    Ok((Model::read(path)?, None))
+}
+
+fn settings(args: &Args, full: bool) -> Result<Settings> {
+    let wants_noise = full || args.noise || !args.noise_system.is_empty() || args.babble.is_some();
+    let noise = wants_noise.then(|| -> Result<NoiseSettings> {
+        Ok(NoiseSettings {
+            babble: args.babble.as_deref().map(FeatureFolder::open).transpose()?,
+            systems: args.noise_system.clone(),
+            ..NoiseSettings::default()
+        })
+    });
+    Ok(Settings {
+        resamples: args.resamples as usize,
+        seed: args.seed,
+        reference: args.against.clone(),
+        noise: noise.transpose()?,
+        cold_starts: full || args.cold,
+    })
+}
+
+/// NAME=FOLDER or NAME@MS=FOLDER.
+fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
+    let Some((name, folder)) = given.split_once('=') else {
+        bail!("--predictions {given}: write NAME=FOLDER");
+    };
+    let (name, ahead) = match name.rsplit_once('@') {
+        Some((name, ms)) => {
+            let ms = ms.trim_end_matches("ms");
+            let ms = ms
+                .parse()
+                .with_context(|| format!("--predictions {given}: {ms:?} is no number of ms"))?;
+            (name, Some(ms))
+        }
+        None => (name, None),
+    };
+    ensure!(!name.is_empty(), "--predictions {given}: the name is missing");
+    let mut candidate = exchange::predictions(name, Path::new(folder))?;
+    candidate.look_ahead_ms = ahead;
+    Ok(candidate)
+}
+
+/// The command without this machine's paths and without what stands in the report anyway.
+fn command(args: &Args) -> String {
+    let quoted = |name: &str| {
+        let plain = name
+            .chars()
+            .all(|c| c.is_ascii_alphanumeric() || "-_.@".contains(c));
+        if plain {
+            name.to_owned()
+        } else {
+            format!("'{name}'")
+        }
+    };
+    let mut words = vec!["lipstream evaluate".to_owned(), short(&args.dir)];
+    if let Some(model) = &args.model {
+        words.push(format!("-m {}", short(model)));
+    }
+    if let Some(systems) = &args.systems {
+        words.push(format!("--systems {}", quoted(systems)));
+    }
+    if let Some(models) = &args.models {
+        words.push(format!("--models {}", short(models)));
+    }
+    for given in &args.predictions {
+        let name = given.split('=').next().unwrap_or_default();
+        words.push(format!("--predictions {}=…", quoted(name)));
+    }
+    if let Some(name) = &args.against {
+        words.push(format!("--against {}", quoted(name)));
+    }
+    for (flag, given) in [
+        ("--noise", args.noise),
+        ("--cold", args.cold),
+        ("--quick", args.quick),
+    ] {
+        if given {
+            words.push(flag.to_owned());
+        }
+    }
+    for name in &args.noise_system {
+        words.push(format!("--noise-system {}", quoted(name)));
+    }
+    if let Some(folder) = &args.babble {
+        words.push(format!("--babble {}", short(folder)));
+    }
+    if let Some(bits) = args.beam {
+        words.push(format!("--beam {bits}"));
+    }
+    words.join(" ")
+}

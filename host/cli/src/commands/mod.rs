@@ -1,0 +1,67 @@
+//! The command line (DESIGN section 10): one file per command.
+use std::ffi::OsString;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+mod align;
+mod choices;
+mod convert;
+mod cues;
+mod demo;
+mod evaluate;
+mod export;
+mod features;
+mod prepare;
+mod render;
+mod train;
+mod train_mge;
+mod train_shards;
+
+/// Speech in, a talking mouth out.
+#[derive(Debug, Parser)]
+#[command(name = "lipstream", version, about)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Align(align::Args),
+    Convert(convert::Args),
+    Cues(cues::Args),
+    Demo(demo::Args),
+    Evaluate(evaluate::Args),
+    Export(export::Args),
+    Features(features::Args),
+    Prepare(prepare::Args),
+    Render(render::Args),
+    Train(Box<train::Train>),
+}
+
+/// Parses the arguments (the first is the program's name) and runs the command.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
+    match Cli::parse_from(args).command {
+        Command::Align(args) => align::run(args),
+        Command::Convert(args) => convert::run(args),
+        Command::Cues(args) => cues::run(args),
+        Command::Demo(args) => demo::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Export(args) => export::run(args),
+        Command::Features(args) => features::run(args),
+        Command::Prepare(args) => prepare::run(args),
+        Command::Render(args) => render::run(args),
+        Command::Train(args) => train::run(*args),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    #[test]
+    fn the_arguments_do_not_contradict_each_other() {
+        super::Cli::command().debug_assert();
+    }
+}

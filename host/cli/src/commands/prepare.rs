@@ -1,0 +1,220 @@
+//! `lipstream prepare`: a corpus to features and eigenmouths.
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::time::Duration;
+
+use anyhow::Result;
+use indicatif::{ProgressBar, ProgressStyle};
+
+use lipstream_make::corpus::discover::Options;
+use lipstream_make::corpus::summary::SplitSummary;
+use lipstream_make::corpus::{self, Settings, Summary, Watch};
+
+/// Turn video, sound and labels into features and eigenmouths
+///
+/// A clip is a video or WAV file with its labels beside it, under the same name: .align (GRID), .phn and .wrd
+/// (TIMIT), .lab (HTK), .TextGrid (Praat) or .txt (a plain transcript). Folders called train, val and test are
+/// splits; other folders are speakers; clips without either are each their own speaker. Where no folder says so,
+/// speakers are dealt out by their names: a tenth for the test, a tenth for validation. An interrupted run
+/// continues when it is started again.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Folder of the corpus
+    corpus: PathBuf,
+    /// Folder for the features; new, or from an earlier run
+    #[arg(short, long, value_name = "DIR")]
+    output: PathBuf,
+    /// Pronunciations that come before the built-in ones: lines `name  N EY1 M`, variants as `name(2)  N AE1 M`
+    #[arg(long, value_name = "FILE")]
+    dictionary: Option<PathBuf>,
+    /// Speakers for the test, separated by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    test_speakers: Vec<String>,
+    /// Speakers for validation, separated by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    val_speakers: Vec<String>,
+    /// Every clip is for training
+    #[arg(long, conflicts_with_all = ["test_speakers", "val_speakers"])]
+    all_train: bool,
+    /// All clips are of one speaker
+    #[arg(long, conflicts_with_all = ["test_speakers", "val_speakers"])]
+    one_speaker: bool,
+    /// Leave the pictures of videos alone
+    #[arg(long)]
+    audio_only: bool,
+    /// Eigenmouths to keep
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    eigenmouths: u16,
+    /// Leave each clip's mean in its mouth weights
+    #[arg(long)]
+    keep_clip_mean: bool,
+    /// Use nothing of an earlier run in the same folder
+    #[arg(long)]
+    fresh: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A progress bar for every pass; hidden where standard error is no terminal.
+#[derive(Default)]
+struct Bar(Mutex<Option<ProgressBar>>);
+
+impl Bar {
+    fn with(&self, act: impl FnOnce(&ProgressBar)) {
+        if let Ok(bar) = self.0.lock()
+            && let Some(bar) = bar.as_ref()
+        {
+            act(bar);
+        }
+    }
+}
+
+impl Watch for Bar {
+    fn begin(&self, what: &str, steps: usize) {
+        let style = ProgressStyle::with_template("{msg:18} {bar:40} {pos}/{len} {per_sec} {eta}")
+            .unwrap_or_else(|_| ProgressStyle::default_bar());
+        let bar = ProgressBar::new(steps as u64)
+            .with_style(style)
+            .with_message(what.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(200));
+        if let Ok(mut place) = self.0.lock() {
+            *place = Some(bar);
+        }
+    }
+
+    fn step(&self) {
+        self.with(|bar| bar.inc(1));
+    }
+
+    fn say(&self, line: &str) {
+        self.with(|bar| bar.suspend(|| eprintln!("{line}")));
+    }
+
+    fn end(&self) {
+        self.with(ProgressBar::finish);
+    }
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    let settings = Settings {
+        corpus: args.corpus,
+        out: args.output,
+        clips: Options {
+            val_speakers: args.val_speakers,
+            test_speakers: args.test_speakers,
+            all_train: args.all_train,
+            one_speaker: args.one_speaker,
+        },
+        dictionary: args.dictionary,
+        audio_only: args.audio_only,
+        eigenmouths: args.eigenmouths.into(),
+        keep_clip_mean: args.keep_clip_mean,
+        fresh: args.fresh,
+    };
+    let summary = corpus::prepare(&settings, &Bar::default())?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else {
+        print!("{}", words(&summary));
+    }
+    Ok(())
+}
+
+/// The summary in words.
+fn words(s: &Summary) -> String {
+    use std::fmt::Write;
+    let mut out = String::new();
+    // Writing to a String cannot fail.
+    let mut line = |text: String| {
+        let _ = writeln!(out, "{text}");
+    };
+    line(format!(
+        "{}: features of {} (split by {})",
+        s.folder, s.corpus, s.split_by
+    ));
+    line(format!(
+        "{:>8} {:>7} {:>11} {:>9} {:>8} {:>7}",
+        "split", "clips", "with video", "speakers", "minutes", "words"
+    ));
+    for (name, split) in [("train", &s.train), ("val", &s.val), ("test", &s.test)] {
+        let SplitSummary {
+            clips,
+            with_video,
+            speakers,
+            seconds,
+            words,
+        } = split;
+        line(format!(
+            "{name:>8} {clips:>7} {with_video:>11} {speakers:>9} {:>8.1} {words:>7}",
+            seconds / 60.0
+        ));
+    }
+    if s.split_by == "speaker" && s.train.speakers == s.train.clips {
+        line("Every clip counts as its own speaker; if they are one person's, say --one-speaker.".into());
+    }
+    if s.visual_size > 0 {
+        line(format!("{} eigenmouths", s.visual_size));
+    }
+    if s.named_sentences > 0 {
+        line(format!(
+            "{} clips without labels: their GRID file names say what is spoken",
+            s.named_sentences
+        ));
+    }
+    if s.unlabelled > 0 {
+        line(format!(
+            "{} clips have no labels: nothing tells their phones",
+            s.unlabelled
+        ));
+    }
+    if !s.words_by_rule.is_empty() {
+        line(format!(
+            "{} words are in no dictionary and pronounced by rule (check, or add them to --dictionary): {}",
+            s.words_by_rule.len(),
+            first(&s.words_by_rule)
+        ));
+    }
+    line(format!(
+        "phones in the training clips: {} of {}{}",
+        s.phones.len(),
+        s.phones.len() + s.phones_missing.len(),
+        if s.phones_missing.is_empty() {
+            String::new()
+        } else {
+            format!("; missing: {}", s.phones_missing.join(" "))
+        }
+    ));
+    if !s.left_alone.is_empty() {
+        line(format!(
+            "{} files belong to no clip and were left alone: {}",
+            s.left_alone.len(),
+            first(&s.left_alone)
+        ));
+    }
+    if s.skipped.is_empty() {
+        line(format!("no clip was skipped; {:.1} s", s.seconds_taken));
+    } else {
+        line(format!(
+            "{} clips were skipped, see above and `skipped` in manifest.json; {:.1} s",
+            s.skipped.len(),
+            s.seconds_taken
+        ));
+    }
+    out
+}
+
+/// The first few of a list.
+fn first(list: &[String]) -> String {
+    let shown = list
+        .iter()
+        .take(8)
+        .map(String::as_str)
+        .collect::<Vec<_>>()
+        .join(", ");
+    if list.len() > 8 {
+        format!("{shown}, ...")
+    } else {
+        shown
+    }
+}

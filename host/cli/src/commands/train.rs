@@ -1,0 +1,175 @@
+//! `lipstream train`: features to a model.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+
+use super::train_mge;
+use super::train_shards::{self, Shards};
+use lipstream::hmm::system::{SYSTEMS, System};
+use lipstream::kinds::likelihood::Model;
+use lipstream_make::align;
+use lipstream_make::features::FeatureFolder;
+use lipstream_make::train::progress::Progress;
+use lipstream_make::train::state::State;
+use lipstream_make::train::{self, Settings, shards};
+
+/// `lipstream train`, whole or in pieces.
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub(crate) struct Train {
+    #[command(subcommand)]
+    pieces: Option<Shards>,
+    #[command(flatten)]
+    whole: Args,
+}
+
+/// Train a model: a coupled HMM over phones and visemes with local linear visual maps, or another of the papers' systems
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Feature folder with video (made by `lipstream prepare`)
+    #[arg(required = true)]
+    dir: Option<PathBuf>,
+    /// Feature folder whose sound trains the audio densities too; may be given many times
+    #[arg(long, value_name = "DIR")]
+    audio: Vec<PathBuf>,
+    /// Model to write
+    #[arg(short, long, value_name = "MODEL.safetensors", required = true)]
+    output: Option<PathBuf>,
+    /// System to train
+    #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
+    system: System,
+    /// Most Gaussians per audio state, a power of two; the validation clips choose
+    #[arg(long, default_value_t = Settings::default().audio_mixtures)]
+    audio_mixtures: usize,
+    /// Most Gaussians per visual state, a power of two; the validation clips choose
+    #[arg(long, default_value_t = Settings::default().visual_mixtures)]
+    visual_mixtures: usize,
+    /// EM passes after the start and after every split
+    #[arg(long, default_value_t = Settings::default().iterations)]
+    iterations: usize,
+    /// Frames of 10 ms that the choice of states waits, beyond the 40 ms of ΔΔ
+    #[arg(long, default_value_t = Settings::default().lag)]
+    lag: usize,
+    /// Train on so many of the clips with video, drawn by the seed [default: all]
+    #[arg(long)]
+    clips: Option<usize>,
+    /// Seed of what is drawn: clips, where it is not 0 the directions in which components split, and all that
+    /// `--train mge` draws
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// How: by likelihood as in the papers, or from there on by the error of the mouth (minimum generation error)
+    #[arg(long = "train", value_enum, default_value_t = Method::Likelihood)]
+    method: Method,
+    #[command(flatten)]
+    mge: train_mge::Args,
+    /// Continue from where `lipstream train merge` has brought the first stage, in place of joint EM
+    #[arg(long, value_name = "STATE")]
+    state: Option<PathBuf>,
+    /// Train an audio HMM for `lipstream align`, from sound and labels alone
+    #[arg(long, conflicts_with_all = ["audio", "visual_mixtures", "lag"])]
+    sound_only: bool,
+    /// Training speakers to leave out, separated by commas
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', requires = "sound_only")]
+    without: Vec<String>,
+    /// Frames of 5 ms that a phone may reach beyond its label
+    #[arg(long, value_name = "N", requires = "sound_only")]
+    tolerance: Option<usize>,
+}
+
+/// What training minimises.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Method {
+    Likelihood,
+    Mge,
+}
+
+pub(super) fn system(name: &str) -> Result<System> {
+    System::from_name(name).with_context(|| {
+        let names: Vec<&str> = SYSTEMS.iter().map(|s| s.name).collect();
+        format!("there are {}", names.join(", "))
+    })
+}
+
+pub(crate) fn run(args: Train) -> Result<()> {
+    match args.pieces {
+        Some(pieces) => train_shards::run(pieces),
+        None => whole(args.whole),
+    }
+}
+
+fn whole(args: Args) -> Result<()> {
+    // Only with start, accumulate or merge are they not there.
+    let (Some(dir), Some(output)) = (&args.dir, &args.output) else {
+        bail!("give a feature folder and --output");
+    };
+    let folder = FeatureFolder::open(dir)?;
+    if args.sound_only {
+        return sound_only(&folder, &args, output);
+    }
+    let heard = args
+        .audio
+        .iter()
+        .map(|path| FeatureFolder::open(path))
+        .collect::<Result<Vec<_>>>()?;
+    let mut settings = Settings {
+        system: args.system,
+        audio_mixtures: args.audio_mixtures,
+        visual_mixtures: args.visual_mixtures,
+        iterations: args.iterations,
+        lag: args.lag,
+        clips: args.clips,
+        seed: args.seed,
+        ..Settings::default()
+    };
+    let mut state_checksum = 0;
+    if let Some(path) = &args.state {
+        let (state, checksum) = State::read(path)?;
+        (settings.state, state_checksum) = (Some(state), checksum);
+    }
+    let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
+    if by_likelihood_first {
+        let run = this_run(&folder, &heard, &settings)?;
+        settings.progress = Progress::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
+    }
+    let begun = std::time::Instant::now();
+    let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
+    match args.method {
+        Method::Likelihood => by_likelihood()?.write(output)?,
+        Method::Mge => {
+            let twin = match &args.mge.from {
+                Some(path) => Model::read(path)?,
+                None => by_likelihood()?,
+            };
+            train_mge::run(&args.mge, &folder, &heard, &twin, args.clips, args.seed, output)?;
+        }
+    }
+    settings.progress.finish()?;
+    eprintln!(
+        "wrote {} after {:.0} s",
+        output.display(),
+        begun.elapsed().as_secs_f32()
+    );
+    Ok(())
+}
+
+/// What makes a run this run: the program, the settings, the data.
+fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &Settings) -> Result<String> {
+    let mut run = format!("{} {settings:?}\n", env!("CARGO_PKG_VERSION"));
+    for folder in std::iter::once(folder).chain(heard) {
+        run += &format!("{:08x}\n", shards::corpus(folder)?);
+    }
+    Ok(run)
+}
+
+fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> {
+    let settings = align::train::Settings {
+        mixtures: args.audio_mixtures,
+        iterations: args.iterations,
+        tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
+        without: args.without.clone(),
+    };
+    let say = |line: &str| eprintln!("{line}");
+    align::train::train(folder, &settings, output.parent(), &say)?.write(output)?;
+    eprintln!("wrote {}", output.display());
+    Ok(())
+}

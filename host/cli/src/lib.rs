@@ -1,0 +1,6 @@
+//! The `lipstream` program: arguments, progress bars, words and exit codes. Everything else is in the libraries below it.
+#![deny(unsafe_code)]
+
+mod commands;
+
+pub use commands::run;

@@ -1,0 +1,357 @@
+//! Labels of a clip: words and phones with their times, from the formats that speech corpora come in.
+//!
+//! | file | format | times |
+//! |---|---|---|
+//! | `.align` | GRID: `start end word` | 1/25000 s |
+//! | `.phn`, `.wrd` | TIMIT: `start end label` | samples at 16 kHz |
+//! | `.lab` | HTK: `start end label [score [word]]`, or a plain transcript | 100 ns, samples or seconds |
+//! | `.TextGrid` | Praat, long or short text, UTF-8 or UTF-16 | seconds |
+//! | `.txt` | a plain transcript, TIMIT's `0 n text`, or a GRID `.align` under another name | none |
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+
+use super::phoneset;
+use lipstream::phones::Phone;
+
+mod columns;
+mod textgrid;
+pub mod transcript;
+
+/// Label files by extension (lower case), the best source of words first.
+pub const EXTENSIONS: [&str; 6] = ["wrd", "textgrid", "align", "lab", "phn", "txt"];
+
+/// Larger files are no labels.
+const MAX_BYTES: u64 = 16 << 20;
+
+/// How far (s) labels may reach past the end of the sound before they are taken for another clip's.
+const OVERHANG_S: f64 = 0.5;
+
+/// One stretch of time with its label, in seconds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Interval {
+    pub start: f64,
+    pub end: f64,
+    pub label: String,
+}
+
+/// A word as labelled.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SpokenWord {
+    /// Lower case, no punctuation but apostrophes.
+    pub text: String,
+    pub time: Option<(f64, f64)>,
+    /// A single letter that is spoken as its name ("a" as in the alphabet), as in GRID.
+    pub letter_name: bool,
+}
+
+/// What the label files of one clip say. Silences are no words; they are phones.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Labels {
+    pub words: Vec<SpokenWord>,
+    /// Start and end in seconds.
+    pub phones: Vec<(f64, f64, Phone)>,
+}
+
+/// Reads the label files of one clip whose sound lasts `duration_s`.
+///
+/// Words come from the first file in the order of [`EXTENSIONS`] that has any, so do phones.
+pub fn read<P: AsRef<Path>>(paths: &[P], duration_s: f64) -> Result<Labels> {
+    let mut labels = Labels::default();
+    let mut sorted: Vec<(usize, &Path)> = Vec::new();
+    for path in paths {
+        let path = path.as_ref();
+        let rank = extension(path).and_then(|e| EXTENSIONS.iter().position(|x| *x == e));
+        match rank {
+            Some(rank) => sorted.push((rank, path)),
+            None => bail!("{}: no label format has this extension", path.display()),
+        }
+    }
+    sorted.sort();
+    for (_, path) in sorted {
+        let one = read_one(path, duration_s).with_context(|| format!("labels {}", path.display()))?;
+        if labels.words.is_empty() {
+            labels.words = one.words;
+        }
+        if labels.phones.is_empty() {
+            labels.phones = one.phones;
+        }
+    }
+    Ok(labels)
+}
+
+fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_str()?.to_lowercase())
+}
+
+fn read_one(path: &Path, duration_s: f64) -> Result<Labels> {
+    let size = std::fs::metadata(path)?.len();
+    if size > MAX_BYTES {
+        bail!("{size} bytes are too many for a label file");
+    }
+    let text = decode(&std::fs::read(path)?)?;
+    parse(&extension(path).unwrap_or_default(), &text, duration_s)
+}
+
+/// Parses the text of a label file with that (lower-case) extension.
+pub fn parse(extension: &str, text: &str, duration_s: f64) -> Result<Labels> {
+    let mut labels = match extension {
+        "align" => columns::grid(text)?,
+        "phn" => columns::timit_phones(text)?,
+        "wrd" => columns::timit_words(text)?,
+        "lab" => columns::htk(text, duration_s)?,
+        "textgrid" => textgrid::labels(text)?,
+        // GRID's own archives name some of their word times .txt.
+        "txt" if columns::is_grid(text) => columns::grid(text)?,
+        "txt" => Labels {
+            words: transcript::words(transcript::without_timit_head(text)),
+            phones: Vec::new(),
+        },
+        other => bail!("`.{other}` is no label format"),
+    };
+    fit(&mut labels, duration_s)?;
+    Ok(labels)
+}
+
+/// Bytes of a text file to a string: UTF-8, UTF-16 with a byte order mark, or (old label files) Latin-1.
+pub fn decode(bytes: &[u8]) -> Result<String> {
+    let wide = |unit: fn([u8; 2]) -> u16| -> Result<String> {
+        if !bytes.len().is_multiple_of(2) {
+            bail!("UTF-16 text with half a character at its end");
+        }
+        let units = bytes[2..].chunks_exact(2).map(|b| unit([b[0], b[1]]));
+        char::decode_utf16(units)
+            .collect::<Result<String, _>>()
+            .context("damaged UTF-16 text")
+    };
+    match bytes {
+        [0xFF, 0xFE, ..] => wide(u16::from_le_bytes),
+        [0xFE, 0xFF, ..] => wide(u16::from_be_bytes),
+        _ => {
+            let bytes = bytes.strip_prefix(&[0xEF, 0xBB, 0xBF]).unwrap_or(bytes);
+            if bytes.contains(&0) {
+                bail!("not a text file");
+            }
+            Ok(match std::str::from_utf8(bytes) {
+                Ok(text) => text.to_owned(),
+                Err(_) => bytes.iter().map(|b| char::from(*b)).collect(),
+            })
+        }
+    }
+}
+
+/// Words from intervals: silences are left out; an interval of several words gives words without times.
+pub(super) fn words_of(intervals: &[Interval], letter_names: bool) -> Vec<SpokenWord> {
+    let mut words = Vec::new();
+    for interval in intervals {
+        if phoneset::is_silence(&interval.label) {
+            continue;
+        }
+        let mut tokens = transcript::words(&interval.label);
+        if let [one] = tokens.as_mut_slice() {
+            one.time = Some((interval.start, interval.end));
+            one.letter_name = letter_names && one.text.chars().count() == 1;
+        }
+        words.append(&mut tokens);
+    }
+    words
+}
+
+/// Phones from intervals in any of the phone sets; the error names the label that none of them has.
+pub(super) fn phones_of(intervals: &[Interval]) -> Result<Vec<(f64, f64, Phone)>> {
+    let labels: Vec<_> = intervals
+        .iter()
+        .map(|i| (i.start, i.end, i.label.clone()))
+        .collect();
+    phoneset::timit(&labels)
+        .map_err(|label| anyhow::anyhow!("{label:?} is no phone of the TIMIT, CMU or X&L sets"))
+}
+
+/// Refuses times out of order and labels that do not belong to a sound of this length; cuts a small overhang.
+fn fit(labels: &mut Labels, duration_s: f64) -> Result<()> {
+    let spans = labels
+        .words
+        .iter_mut()
+        .filter_map(|w| w.time.as_mut().map(|t| (&mut t.0, &mut t.1)));
+    cut(spans, duration_s)?;
+    cut(labels.phones.iter_mut().map(|p| (&mut p.0, &mut p.1)), duration_s)?;
+    labels.words.retain(|w| w.time.is_none_or(|(s, e)| e > s));
+    labels.phones.retain(|(s, e, _)| e > s);
+    Ok(())
+}
+
+fn cut<'a>(spans: impl Iterator<Item = (&'a mut f64, &'a mut f64)>, duration_s: f64) -> Result<()> {
+    let mut last = 0.0f64;
+    for (start, end) in spans {
+        if !start.is_finite() || !end.is_finite() || *start < 0.0 || *end < *start {
+            bail!("a label reaches from {start} s to {end} s");
+        }
+        if *start < last {
+            bail!("the label that starts at {start} s comes after one that starts at {last} s");
+        }
+        last = *start;
+        if *end > duration_s + OVERHANG_S {
+            bail!(
+                "labels reach to {end:.2} s, but the sound ends at {duration_s:.2} s: are they this clip's?"
+            );
+        }
+        *end = end.min(duration_s);
+        *start = start.min(duration_s);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn texts(labels: &Labels) -> Vec<&str> {
+        labels.words.iter().map(|w| w.text.as_str()).collect()
+    }
+
+    #[test]
+    fn text_encodings() {
+        let plain = "aé";
+        let le: Vec<u8> = [0xFF, 0xFE]
+            .into_iter()
+            .chain(plain.encode_utf16().flat_map(u16::to_le_bytes))
+            .collect();
+        let be: Vec<u8> = [0xFE, 0xFF]
+            .into_iter()
+            .chain(plain.encode_utf16().flat_map(u16::to_be_bytes))
+            .collect();
+        assert_eq!(decode(&le).unwrap(), plain);
+        assert_eq!(decode(&be).unwrap(), plain);
+        assert_eq!(decode(plain.as_bytes()).unwrap(), plain);
+        assert_eq!(decode(b"\xEF\xBB\xBFab").unwrap(), "ab");
+        assert_eq!(decode(b"a\xE9").unwrap(), plain);
+        assert!(decode(&le[..le.len() - 1]).is_err());
+        assert!(decode(&[0xFF, 0xFE, 0x00, 0xD8]).is_err());
+        assert!(decode(b"a\0b").is_err());
+    }
+
+    #[test]
+    fn words_come_from_the_best_file_and_phones_from_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path
+        };
+        let paths = [
+            write("a.txt", "Other words here."),
+            write(
+                "a.phn",
+                "0 8000 h#\n8000 12000 hh\n12000 16000 iy\n16000 24000 h#\n",
+            ),
+            write("a.wrd", "8000 16000 he\n"),
+        ];
+        let labels = read(&paths, 1.5).unwrap();
+        assert_eq!(texts(&labels), ["he"]);
+        assert_eq!(labels.words[0].time, Some((0.5, 1.0)));
+        let names: Vec<_> = labels.phones.iter().map(|p| p.2.name()).collect();
+        assert_eq!(names, ["sil", "hh", "iy", "sil"]);
+        assert!(read(&[folder.path().join("a.doc")], 1.0).is_err());
+    }
+
+    #[test]
+    fn labels_of_another_clip_are_refused() {
+        assert!(parse("wrd", "0 16000 one\n16000 160000 two\n", 1.2).is_err());
+        let labels = parse("wrd", "0 16000 one\n16000 20000 two\n", 1.2).unwrap();
+        assert_eq!(labels.words[1].time, Some((1.0, 1.2)));
+        assert!(parse("wrd", "16000 20000 two\n0 16000 one\n", 2.0).is_err());
+    }
+
+    #[test]
+    fn bad_files_are_named_with_place_and_reason() {
+        let grid = "File type = \"ooTextFile\"\nObject class = \"TextGrid\"\n\n0\n1\n<exists>\n1\n\"IntervalTier\"\n\
+                    \"words\"\n0\n1\n1\n0\n1\n\"hey\"\n";
+        let wide: Vec<u8> = [0xFF, 0xFE]
+            .into_iter()
+            .chain(
+                grid.replace("<exists>", "yes")
+                    .encode_utf16()
+                    .flat_map(u16::to_le_bytes),
+            )
+            .collect();
+        let bytes = |text: &str| text.as_bytes().to_vec();
+        let cases = [
+            (
+                "a.align",
+                bytes("0 9250 sil\n9250 lay\n"),
+                "line 2: expected `start end label`",
+            ),
+            ("b.phn", bytes("0 8000 h#\n8000 9000 qq\n"), "\"qq\" is no phone"),
+            (
+                "c.wrd",
+                bytes("0 8000 she\n9000 8500 had\n"),
+                "line 2: from 9000 to 8500",
+            ),
+            (
+                "d.wrd",
+                bytes("0 8000 she\n8000 99999 had\n"),
+                "are they this clip's?",
+            ),
+            (
+                "e.lab",
+                bytes("0 5000000 sil\n5000000 x aa\n"),
+                "line 2: expected `start end label`",
+            ),
+            ("f.lab", bytes("#!MLF!#\n"), "write one .lab file for each clip"),
+            (
+                "g.TextGrid",
+                bytes(&grid.replace("\n\"hey\"\n", "\n")),
+                "ends after line 14 where the text",
+            ),
+            (
+                "h.TextGrid",
+                bytes(&grid.replace("<exists>", "7")),
+                "line 6: expected <exists>, found 7",
+            ),
+            ("i.TextGrid", wide, "expected <exists>, found 1"),
+            (
+                "j.TextGrid",
+                bytes("ooBinaryFile"),
+                "save it in Praat as a text file",
+            ),
+            (
+                "k.TextGrid",
+                bytes(&grid.replace("\"hey\"", "\"hey")),
+                "line 15: a text without its closing quote",
+            ),
+            ("l.txt", vec![b'a', 0, b'b'], "not a text file"),
+            ("m.txt", vec![0xFF, 0xFE, 0x61], "half a character"),
+        ];
+        let folder = tempfile::tempdir().unwrap();
+        for (name, content, says) in cases {
+            let path = folder.path().join(name);
+            std::fs::write(&path, content).unwrap();
+            let error = format!("{:#}", read(&[&path], 1.0).unwrap_err());
+            assert!(error.contains(name) && error.contains(says), "{name}: {error}");
+            assert!(!error.contains('\n'), "{error}");
+        }
+    }
+
+    #[test]
+    fn nothing_that_is_cut_or_mixed_up_makes_a_parser_panic() {
+        let samples = [
+            ("align", "0 9250 sil\r\n9250 21500 lay\r\n"),
+            ("phn", "0 8000 h#\n8000 12000 hh\n"),
+            ("lab", "0 1000000 sil -3.5 sil\n1000000 3000000 l -1 LAY\n"),
+            ("txt", "0 38504 Would a tomboy often play outdoors?"),
+            (
+                "textgrid",
+                "File type = \"ooTextFile\"\nObject class = \"TextGrid\"\n\n0\n1\n<exists>\n1\n\"IntervalTier\"\n\
+                 \"words\"\n0\n1\n1\n0\n1\n\"hé\"\n",
+            ),
+        ];
+        for (extension, text) in samples {
+            for (i, _) in text.char_indices() {
+                let _ = parse(extension, &text[..i], 2.0);
+                let _ = parse(extension, &text[i..], 2.0);
+                let noisy = format!("{}-9e99 {}", &text[..i], &text[i..]);
+                let _ = parse(extension, &noisy, 2.0);
+            }
+        }
+    }
+}

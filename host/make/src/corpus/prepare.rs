@@ -1,0 +1,423 @@
+//! `prepare`: a corpus to a feature folder (features.rs), clip by clip on all cores.
+//!
+//! Passes: sound, labels and the speech mean; audio observations, which start from that mean; mouth images;
+//! the eigenmouths of the training clips; their weights in every clip. No pass holds more than a few clips in
+//! memory. What a pass has made is kept with a note of its inputs (stamp.rs), so that a second run continues.
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use rayon::prelude::*;
+
+use super::discover::{self, Found, Source};
+use super::labels::{self, Labels, SpokenWord, transcript};
+use super::pronounce::{self, Pronouncer};
+use super::stamp::{self, Notes};
+use super::summary::{self, Summary};
+use super::visual;
+use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
+use lipstream::npy;
+use lipstream::reference::{self, Normalisation, SpeechMean};
+use lipstream_media::video;
+use lipstream_media::{files, sound};
+
+/// Shorter sounds (s) are no utterances: nothing would be left between the edges of Δ and ΔΔ.
+const SHORTEST_S: f64 = 0.15;
+
+/// Clips in memory at once, for each thread.
+const CLIPS_PER_THREAD: usize = 4;
+
+/// What to prepare and how.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    pub corpus: PathBuf,
+    pub out: PathBuf,
+    pub clips: discover::Options,
+    /// The user's pronunciations, in CMUdict's text format.
+    pub dictionary: Option<PathBuf>,
+    /// Leaves the pictures of videos alone.
+    pub audio_only: bool,
+    /// Eigenmouths to keep; fewer where there are not as many different images.
+    pub eigenmouths: usize,
+    /// Leaves each clip's mean in its weights: what a speaker looks like all through a clip.
+    pub keep_clip_mean: bool,
+    /// Nothing of an earlier run is used.
+    pub fresh: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            corpus: PathBuf::new(),
+            out: PathBuf::new(),
+            clips: discover::Options::default(),
+            dictionary: None,
+            audio_only: false,
+            eigenmouths: 30,
+            keep_clip_mean: false,
+            fresh: false,
+        }
+    }
+}
+
+/// Who is told how the work goes on.
+pub trait Watch: Sync {
+    /// A pass of `steps` steps begins.
+    fn begin(&self, what: &str, steps: usize);
+    fn step(&self);
+    /// Something that the user must hear now, such as a clip that cannot be read.
+    fn say(&self, line: &str);
+    /// The pass is over.
+    fn end(&self);
+}
+
+/// Nobody.
+impl Watch for () {
+    fn begin(&self, _: &str, _: usize) {}
+    fn step(&self) {}
+    fn say(&self, _: &str) {}
+    fn end(&self) {}
+}
+
+/// A clip on its way: its manifest entry and where its pronunciations came from.
+pub(super) struct Prepared {
+    pub(super) source: Source,
+    pub(super) clip: Clip,
+    pub(super) words: BTreeMap<String, pronounce::Source>,
+    pub(super) named_sentence: bool,
+    pub(super) seconds: f64,
+    sound_stamp: String,
+}
+
+#[cfg(test)]
+impl Prepared {
+    /// A clip with nothing but its files and its length.
+    pub(super) fn bare(source: Source, seconds: f64) -> Self {
+        Self {
+            clip: Clip {
+                id: source.id.clone(),
+                speaker: source.speaker.clone(),
+                split: source.split,
+                audio_frames: 0,
+                video_frames: 0,
+                video_hz: 0.0,
+                words: Vec::new(),
+                phones: Vec::new(),
+            },
+            source,
+            words: BTreeMap::new(),
+            named_sentence: false,
+            seconds,
+            sound_stamp: String::new(),
+        }
+    }
+}
+
+/// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
+pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
+    let began = std::time::Instant::now();
+    let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
+    let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
+    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
+    if found.clips.iter().any(decodes) {
+        video::available()?;
+    }
+    claim(&settings.out, settings.fresh)?;
+
+    let mut skipped = Vec::new();
+    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, watch, &mut skipped)?;
+    observe(&clips, &settings.out, start_mean, watch)?;
+    let visual_size = if settings.audio_only {
+        0
+    } else {
+        visual::see(&mut clips, settings, watch, &mut skipped)?
+    };
+
+    clips.sort_by(|a, b| a.clip.id.cmp(&b.clip.id));
+    let manifest = Manifest {
+        version: MANIFEST_VERSION,
+        corpus: settings.corpus.display().to_string(),
+        start_mean: start_mean.to_vec(),
+        visual_size,
+        clips: clips.iter().map(|c| c.clip.clone()).collect(),
+        skipped,
+    };
+    manifest
+        .check()
+        .context("the manifest that was made is unsound")?;
+    sweep(settings, &manifest)?;
+    let text = serde_json::to_vec_pretty(&manifest)?;
+    files::write_bytes(&settings.out.join("manifest.json"), &text)?;
+    let mut summary = summary::summarise(settings, &found, &clips, manifest);
+    summary.seconds_taken = began.elapsed().as_secs_f64();
+    Ok(summary)
+}
+
+/// Makes the output folder ours: it is empty, or was prepared before. Its manifest goes until the end.
+fn claim(out: &Path, fresh: bool) -> Result<()> {
+    if out.is_dir() {
+        let occupied = std::fs::read_dir(out)
+            .with_context(|| format!("cannot read {}", out.display()))?
+            .next()
+            .is_some();
+        if occupied && !out.join("manifest.json").is_file() && !out.join("cache").is_dir() {
+            bail!(
+                "{} is not empty and no feature folder; give a new folder",
+                out.display()
+            );
+        }
+    }
+    let cache = out.join("cache");
+    if fresh && cache.is_dir() {
+        std::fs::remove_dir_all(&cache).with_context(|| format!("cannot remove {}", cache.display()))?;
+    }
+    std::fs::create_dir_all(&cache).with_context(|| format!("cannot make {}", out.display()))?;
+    match std::fs::remove_file(out.join("manifest.json")) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(e).with_context(|| format!("cannot replace {}", out.join("manifest.json").display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// One line of an error, for the manifest and the user's terminal.
+pub(super) fn reason(error: &anyhow::Error) -> String {
+    format!("{error:#}").lines().collect::<Vec<_>>().join("; ")
+}
+
+/// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
+fn listen(
+    found: &Found,
+    settings: &Settings,
+    pronouncer: &Pronouncer,
+    watch: &dyn Watch,
+    skipped: &mut Vec<Skipped>,
+) -> Result<(Vec<Prepared>, [f32; lipstream_core::N_STATIC])> {
+    let (mut train, mut others) = (SpeechMean::default(), SpeechMean::default());
+    let mut clips = Vec::with_capacity(found.clips.len());
+    watch.begin("sound and labels", found.clips.len());
+    for some in found
+        .clips
+        .chunks(CLIPS_PER_THREAD * rayon::current_num_threads())
+    {
+        let read: Vec<_> = some
+            .par_iter()
+            .map(|source| {
+                let result = listen_to(source, &settings.out, pronouncer);
+                if let Err(error) = &result {
+                    watch.say(&format!(
+                        "skipped {}: {}",
+                        source.sound_path().display(),
+                        reason(error)
+                    ));
+                }
+                watch.step();
+                result
+            })
+            .collect();
+        // In the order of the clips, so that the mean is the same whatever the number of threads.
+        for (source, result) in some.iter().zip(read) {
+            match result {
+                Ok((clip, statics)) => {
+                    let mean = if source.split == Split::Train {
+                        &mut train
+                    } else {
+                        &mut others
+                    };
+                    mean.add(statics.view());
+                    clips.push(clip);
+                }
+                Err(error) => skipped.push(Skipped {
+                    path: source.sound_path().display().to_string(),
+                    reason: reason(&error),
+                }),
+            }
+        }
+    }
+    watch.end();
+    if clips.is_empty() {
+        bail!(
+            "none of the {} clips in {} can be read (the first: {})",
+            found.clips.len(),
+            settings.corpus.display(),
+            skipped.first().map_or("", |s| s.reason.as_str())
+        );
+    }
+    let mean = train.mean().or(others.mean()).with_context(|| {
+        format!(
+            "no speech is heard in the {} clips: all of them are silent or steady noise",
+            clips.len()
+        )
+    })?;
+    Ok((clips, mean))
+}
+
+fn listen_to(
+    source: &Source,
+    out: &Path,
+    pronouncer: &Pronouncer,
+) -> Result<(Prepared, ndarray::Array2<f64>)> {
+    let sound_stamp = stamp::of_file(source.sound_path())?;
+    let samples = sound(source, out, &sound_stamp)?;
+    let seconds = samples.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
+    if seconds < SHORTEST_S {
+        bail!("{seconds:.3} s of sound are too short");
+    }
+    let mut labels = labels::read(&source.labels, seconds)?;
+    let named_sentence = labels == Labels::default() && source.labels.is_empty();
+    let named = named_sentence
+        .then(|| transcript::of_grid_name(&source.stem))
+        .flatten();
+    let named_sentence = named.is_some();
+    if let Some(words) = named {
+        labels.words = words;
+    }
+    let mut from = BTreeMap::new();
+    let words = labels
+        .words
+        .iter()
+        .map(|word| spoken(word, pronouncer, &mut from))
+        .collect::<Result<_>>()?;
+    let phones = labels.phones.iter().map(|(start, end, phone)| PhoneLabel {
+        phone: phone.name().to_owned(),
+        start: *start as f32,
+        end: *end as f32,
+    });
+    let statics = reference::statics(&samples);
+    let clip = Clip {
+        id: source.id.clone(),
+        speaker: source.speaker.clone(),
+        split: source.split,
+        audio_frames: statics.nrows(),
+        video_frames: 0,
+        video_hz: 0.0,
+        words,
+        phones: phones.filter(|p| p.end > p.start).collect(),
+    };
+    let prepared = Prepared {
+        source: source.clone(),
+        clip,
+        words: from,
+        named_sentence,
+        seconds,
+        sound_stamp,
+    };
+    Ok((prepared, statics))
+}
+
+/// A word with its pronunciations; `from` learns where they came from.
+fn spoken(
+    word: &SpokenWord,
+    pronouncer: &Pronouncer,
+    from: &mut BTreeMap<String, pronounce::Source>,
+) -> Result<Word> {
+    let (spoken, source) = pronouncer.spoken(word)?;
+    from.insert(word.text.clone(), source);
+    Ok(spoken)
+}
+
+/// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.
+fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
+    let path = out.join("wav").join(format!("{}.wav", source.id));
+    let notes = Notes::new(out, &source.id);
+    if notes.vouched("sound", sound_stamp, &path).is_some() {
+        return Ok(sound::read(&path)?.samples);
+    }
+    notes.forget("sound");
+    let from = source.sound_path();
+    let samples = if is_read_here(from) {
+        sound::read(from)?.samples
+    } else {
+        sound::decode(&video::decode_sound(from)?)?.samples
+    };
+    sound::write(&path, &samples)?;
+    notes.note("sound", sound_stamp)?;
+    Ok(samples)
+}
+
+/// Whether sound is read without ffmpeg; that of video files never is.
+fn is_read_here(path: &Path) -> bool {
+    let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
+    ending.to_str().is_some_and(|e| discover::SOUND.contains(&e)) && sound::knows(path)
+}
+
+/// Second pass: audio observations from `wav/` to `audio/`.
+fn observe(
+    clips: &[Prepared],
+    out: &Path,
+    start_mean: [f32; lipstream_core::N_STATIC],
+    watch: &dyn Watch,
+) -> Result<()> {
+    watch.begin("audio features", clips.len());
+    let mean: Vec<String> = start_mean
+        .iter()
+        .map(|v| format!("{:08x}", v.to_bits()))
+        .collect();
+    let normalisation = Normalisation::Causal { start_mean };
+    clips.par_iter().try_for_each(|prepared| {
+        observe_one(prepared, out, &mean.concat(), normalisation)
+            .with_context(|| format!("audio features of {}", prepared.source.sound_path().display()))?;
+        watch.step();
+        Ok::<(), anyhow::Error>(())
+    })?;
+    watch.end();
+    Ok(())
+}
+
+fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Normalisation) -> Result<()> {
+    let id = &prepared.clip.id;
+    let path = out.join("audio").join(format!("{id}.npy"));
+    let stamp = format!("{} {mean}", prepared.sound_stamp);
+    let notes = Notes::new(out, id);
+    if notes.vouched("audio", &stamp, &path).is_some() {
+        return Ok(());
+    }
+    notes.forget("audio");
+    let samples = sound::read(&out.join("wav").join(format!("{id}.wav")))?.samples;
+    npy::write_npy(&path, &reference::observations(&samples, normalisation))?;
+    notes.note("audio", &stamp)
+}
+
+/// Removes what earlier runs made for clips that are no longer there.
+fn sweep(settings: &Settings, manifest: &Manifest) -> Result<()> {
+    let out = settings.out.as_path();
+    let ids: BTreeSet<&str> = manifest.clips.iter().map(|c| c.id.as_str()).collect();
+    let seen: BTreeSet<&str> = manifest
+        .clips
+        .iter()
+        .filter(|c| c.video_frames > 0)
+        .map(|c| c.id.as_str())
+        .collect();
+    for (folder, extensions, keep) in [
+        ("wav", &["wav"][..], &ids),
+        ("audio", &["npy"], &ids),
+        ("visual", &["npy"], &seen),
+        // Dear to make: a run without pictures leaves them for the next one with.
+        ("mouths", &["npy"], if settings.audio_only { &ids } else { &seen }),
+        ("cache", &["sound", "audio", "mouths", "visual"], &ids),
+    ] {
+        let Ok(entries) = std::fs::read_dir(out.join(folder)) else {
+            continue;
+        };
+        for entry in entries {
+            let path = entry?.path();
+            let ours = path
+                .extension()
+                .and_then(|e| e.to_str())
+                .is_some_and(|e| extensions.contains(&e));
+            let stem = path.file_stem().and_then(|s| s.to_str()).unwrap_or_default();
+            if ours && !keep.contains(stem) {
+                std::fs::remove_file(&path).with_context(|| format!("cannot remove {}", path.display()))?;
+            }
+        }
+    }
+    let mouth = FeatureFolder {
+        root: out.to_owned(),
+        manifest: manifest.clone(),
+    }
+    .mouth_path();
+    if manifest.visual_size == 0 && mouth.is_file() {
+        std::fs::remove_file(&mouth).with_context(|| format!("cannot remove {}", mouth.display()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,505 @@
+//! The visual half of `prepare`: mouth images of every clip, the eigenmouths of the training clips, and their
+//! weights.
+//!
+//! Every speaker has a face of his own to hold on to (video::Tracker), learnt from a dozen of his clips. All mouth
+//! images of a folder have the size of the speaker with the most training clips; the others' are resampled to it.
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::OnceLock;
+
+use anyhow::{Context, Result, anyhow, bail};
+use ndarray::Array4;
+use rayon::prelude::*;
+
+use super::prepare::{Prepared, Settings, Watch, reason};
+use super::stamp::{self, Notes};
+use crate::features::{self, Skipped, Split};
+use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
+use lipstream::mouth::MouthSpace;
+use lipstream::npy;
+use lipstream::tensors::{Tensors, TensorsBuilder};
+use lipstream_media::files;
+use lipstream_media::video;
+
+/// Changes when the same video gives other mouth images.
+const MOUTHS_VERSION: u32 = 1;
+
+/// Clips that a speaker's face is learnt from, and pictures of each.
+const REFERENCE_CLIPS: usize = 12;
+const REFERENCE_PICTURES: usize = 16;
+
+/// Images that the eigenmouths are computed from: their number is what the time and memory depend on.
+const MOST_IMAGES: usize = 1200;
+
+/// How far (s) sound and pictures of a clip may differ in length.
+const LENGTHS_DIFFER_S: f64 = 1.0;
+
+/// What a clip's mouth images are vouched for by: inputs and settings in one line.
+type Stamp = String;
+
+/// A speaker with video: his clips, those that his face is learnt from, and what says so.
+struct Face<'a> {
+    clips: Vec<usize>,
+    reference: Vec<&'a Path>,
+    stamp: Stamp,
+    tracker: OnceLock<Result<Tracker, String>>,
+}
+
+/// Prepares the pictures of `clips`; those whose pictures cannot be used are taken out and reported.
+///
+/// Returns the number of eigenmouths, 0 when no clip has video.
+pub(super) fn see(
+    clips: &mut Vec<Prepared>,
+    settings: &Settings,
+    watch: &dyn Watch,
+    skipped: &mut Vec<Skipped>,
+) -> Result<usize> {
+    let out = settings.out.as_path();
+    let results = track_all(clips, out, watch)?;
+    if results.iter().all(Option::is_none) {
+        return Ok(0);
+    }
+    let mut stamps = Vec::new();
+    let mut kept = Vec::with_capacity(clips.len());
+    for (mut prepared, result) in clips.drain(..).zip(results) {
+        let stamp = match result {
+            None => String::new(),
+            Some(Ok((frames, rate_hz, stamp))) => {
+                prepared.clip.video_frames = frames;
+                prepared.clip.video_hz = rate_hz;
+                stamp
+            }
+            Some(Err(error)) => {
+                skipped.push(Skipped {
+                    path: video_path(&prepared).display().to_string(),
+                    reason: reason(&error),
+                });
+                continue;
+            }
+        };
+        stamps.push(stamp);
+        kept.push(prepared);
+    }
+    *clips = kept;
+    if clips.iter().all(|c| c.clip.video_frames == 0) {
+        bail!(
+            "no clip's pictures can be used (the last: {})",
+            skipped.last().map_or("", |s| s.reason.as_str())
+        );
+    }
+    let (space, space_stamp) = eigenmouths(clips, &stamps, settings, watch)?;
+    weigh(clips, &stamps, &space, &space_stamp, settings, watch)?;
+    Ok(space.size())
+}
+
+fn video_path(prepared: &Prepared) -> &Path {
+    prepared.source.video.as_deref().unwrap_or(Path::new(""))
+}
+
+/// Mouth images of every clip with video: number of pictures, their rate, and what vouches for them.
+type Tracked = Option<Result<(usize, f32, Stamp)>>;
+
+fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tracked>> {
+    let mut faces = faces(clips)?;
+    // The speaker with the most training clips first: his mouth's size is everyone's.
+    faces.sort_by_key(|f| {
+        let training = f.clips.iter().filter(|i| clips[**i].clip.split == Split::Train);
+        std::cmp::Reverse((training.count(), f.clips.len()))
+    });
+    let mut results: Vec<Tracked> = clips.iter().map(|_| None).collect();
+    let steps = faces.iter().map(|f| f.clips.len()).sum();
+    if steps > 0 {
+        watch.begin("mouths", steps);
+    }
+    let mut size: Option<(usize, usize)> = None;
+    for face in &faces {
+        // Learnt here and not in the loop below, where one thread would wait for what it is doing itself.
+        if !face
+            .clips
+            .iter()
+            .all(|i| tracked(&clips[*i], face, size, out).is_ok_and(|t| t.1.is_some()))
+        {
+            let _ = face.tracker();
+        }
+        let track = |i: &usize| {
+            let result = track_one(&clips[*i], face, size, out);
+            if let Err(error) = &result {
+                watch.say(&format!(
+                    "skipped {}: {}",
+                    video_path(&clips[*i]).display(),
+                    reason(error)
+                ));
+            }
+            watch.step();
+            (*i, result)
+        };
+        for (i, result) in face.clips.par_iter().map(track).collect::<Vec<_>>() {
+            if size.is_none() && result.is_ok() {
+                let images = features::read_mouths(&mouths_path(out, &clips[i].clip.id))?;
+                size = Some((images.dim().2, images.dim().1));
+            }
+            results[i] = Some(result);
+        }
+    }
+    watch.end();
+    Ok(results)
+}
+
+/// The speakers with video, in the order of their names, and the clips that their faces are learnt from.
+fn faces(clips: &[Prepared]) -> Result<Vec<Face<'_>>> {
+    let mut by_speaker: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
+    for (i, prepared) in clips.iter().enumerate() {
+        if prepared.source.video.is_some() {
+            by_speaker.entry(&prepared.clip.speaker).or_default().push(i);
+        }
+    }
+    by_speaker
+        .into_values()
+        .map(|of| {
+            let mut training: Vec<usize> = of.clone();
+            training.retain(|i| clips[*i].clip.split == Split::Train);
+            let from = if training.is_empty() { &of } else { &training };
+            let count = from.len().min(REFERENCE_CLIPS);
+            let reference: Vec<&Path> = (0..count)
+                .map(|k| video_path(&clips[from[(2 * k + 1) * from.len() / (2 * count)]]))
+                .collect();
+            let parts: Vec<String> = reference
+                .iter()
+                .map(|p| stamp::of_file(p))
+                .collect::<Result<_>>()?;
+            Ok(Face {
+                clips: of,
+                reference,
+                stamp: format!("{MOUTHS_VERSION} {:016x}", stamp::digest(&parts.join("\n"))),
+                tracker: OnceLock::new(),
+            })
+        })
+        .collect()
+}
+
+impl Face<'_> {
+    /// The speaker's tracker, learnt when the first clip needs it.
+    fn tracker(&self) -> Result<&Tracker> {
+        let learn = || -> Result<Tracker> {
+            let thinned = |path: &&Path| {
+                let frames = video::decode(path)?;
+                Ok(frames.thinned((frames.len() / REFERENCE_PICTURES).max(1)))
+            };
+            let mut clips = Vec::new();
+            let mut trouble: Option<anyhow::Error> = None;
+            for decoded in self.reference.par_iter().map(thinned).collect::<Vec<_>>() {
+                match decoded {
+                    Ok(frames) => clips.push(frames),
+                    Err(error) => trouble = Some(error),
+                }
+            }
+            match (clips.is_empty(), trouble) {
+                (true, Some(error)) => Err(error),
+                _ => Tracker::reference(&clips),
+            }
+        };
+        self.tracker
+            .get_or_init(|| learn().map_err(|e| reason(&e)))
+            .as_ref()
+            .map_err(|e| anyhow!("the speaker's face cannot be learnt: {e}"))
+    }
+}
+
+fn mouths_path(out: &Path, id: &str) -> std::path::PathBuf {
+    out.join("mouths").join(format!("{id}.npy"))
+}
+
+/// What would vouch for a clip's mouth images, and their number and rate if an earlier run has made them.
+fn tracked(
+    prepared: &Prepared,
+    face: &Face,
+    size: Option<(usize, usize)>,
+    out: &Path,
+) -> Result<(Stamp, Option<(usize, f32)>)> {
+    let id = &prepared.clip.id;
+    let size = size.map_or("own".into(), |(w, h)| format!("{w}x{h}"));
+    let stamp = format!("{} {} {size}", stamp::of_file(video_path(prepared))?, face.stamp);
+    let path = mouths_path(out, id);
+    let Some(noted) = Notes::new(out, id).vouched("mouths", &stamp, &path) else {
+        return Ok((stamp, None));
+    };
+    let images = features::read_mouths(&path)?;
+    let rate_hz: f32 = noted.parse().context("a damaged note in the cache")?;
+    Ok((stamp, Some((images.dim().0, rate_hz))))
+}
+
+/// One clip's mouth images in `mouths/`, from an earlier run or tracked now.
+fn track_one(
+    prepared: &Prepared,
+    face: &Face,
+    size: Option<(usize, usize)>,
+    out: &Path,
+) -> Result<(usize, f32, Stamp)> {
+    let id = &prepared.clip.id;
+    let from = video_path(prepared);
+    let path = mouths_path(out, id);
+    let (stamp, done) = tracked(prepared, face, size, out)?;
+    if let Some((frames, rate_hz)) = done {
+        return Ok((frames, rate_hz, stamp));
+    }
+    let notes = Notes::new(out, id);
+    notes.forget("mouths");
+    let tracker = face.tracker()?;
+    let frames = video::decode(from)?;
+    let pictures_s = frames.len() as f64 / f64::from(frames.rate_hz);
+    if (pictures_s - prepared.seconds).abs() > LENGTHS_DIFFER_S {
+        bail!(
+            "its sound lasts {:.2} s, its pictures {pictures_s:.2} s",
+            prepared.seconds
+        );
+    }
+    let track = tracker.track(&frames)?;
+    drop(frames);
+    let (count, rate_hz) = (track.len(), track.rate_hz);
+    let images = Array4::from_shape_vec((count, track.height, track.width, 3), track.images)?;
+    let images = match size {
+        Some(size) if size != (track.width, track.height) => resampled(&images, size),
+        _ => images,
+    };
+    write_mouths(&path, &images)?;
+    notes.note_with("mouths", &stamp, &rate_hz.to_string())?;
+    Ok((count, rate_hz, stamp))
+}
+
+fn write_mouths(path: &Path, images: &Array4<u8>) -> Result<()> {
+    use ndarray_npy::WriteNpyExt;
+    files::write_whole(path, |file| Ok(images.write_npy(file)?))
+}
+
+/// Images brought to another size (width, height), bilinear, pixel centres on pixel centres.
+fn resampled(images: &Array4<u8>, (width, height): (usize, usize)) -> Array4<u8> {
+    let (count, from_height, from_width, _) = images.dim();
+    let place = |to: usize, of: usize, from: usize| {
+        let at = ((to as f32 + 0.5) * from as f32 / of as f32 - 0.5).clamp(0.0, (from - 1) as f32);
+        (at as usize, ((at as usize) + 1).min(from - 1), at.fract())
+    };
+    Array4::from_shape_fn((count, height, width, 3), |(n, y, x, c)| {
+        let (top, bottom, down) = place(y, height, from_height);
+        let (left, right, across) = place(x, width, from_width);
+        let at = |y, x| f32::from(images[(n, y, x, c)]);
+        let upper = at(top, left) * (1.0 - across) + at(top, right) * across;
+        let lower = at(bottom, left) * (1.0 - across) + at(bottom, right) * across;
+        (upper * (1.0 - down) + lower * down).round() as u8
+    })
+}
+
+/// A clip's mouth images as the eigenmouths take them.
+fn as_track(images: Array4<u8>, rate_hz: f32) -> MouthTrack {
+    let (count, height, width, _) = images.dim();
+    MouthTrack {
+        width,
+        height,
+        images: images.into_iter().collect(),
+        transforms: vec![Affine::IDENTITY; count],
+        scores: vec![1.0; count],
+        colour: [ChannelMap::IDENTITY; 3],
+        rate_hz,
+    }
+}
+
+/// The eigenmouths of the training clips (of all clips where no training clip has video), in
+/// `mouth.safetensors`.
+fn eigenmouths(
+    clips: &[Prepared],
+    stamps: &[Stamp],
+    settings: &Settings,
+    watch: &dyn Watch,
+) -> Result<(MouthSpace, Stamp)> {
+    let seen: Vec<usize> = (0..clips.len())
+        .filter(|i| clips[*i].clip.video_frames > 0)
+        .collect();
+    let mut from = seen.clone();
+    from.retain(|i| clips[*i].clip.split == Split::Train);
+    if from.is_empty() {
+        from = seen;
+    }
+    let used: Vec<usize> = if from.len() > MOST_IMAGES {
+        (0..MOST_IMAGES)
+            .map(|k| from[k * from.len() / MOST_IMAGES])
+            .collect()
+    } else {
+        from
+    };
+    let keep = (MOST_IMAGES / used.len()).max(1);
+    let parts: Vec<&str> = used.iter().map(|i| stamps[*i].as_str()).collect();
+    let stamp = format!(
+        "{} {:016x}",
+        settings.eigenmouths,
+        stamp::digest(&parts.join("\n"))
+    );
+    let path = settings.out.join("mouth.safetensors");
+    let notes = Notes::new(&settings.out, "~mouth");
+    if notes.vouched("space", &stamp, &path).is_some() {
+        return Ok((MouthSpace::load(&Tensors::read(&path)?)?, stamp));
+    }
+    notes.forget("space");
+    watch.begin("eigenmouths", used.len() + 1);
+    let mut samples: Option<MouthSamples> = None;
+    for i in used {
+        let images = features::read_mouths(&mouths_path(&settings.out, &clips[i].clip.id))?;
+        let track = as_track(images, clips[i].clip.video_hz);
+        samples
+            .get_or_insert_with(|| MouthSamples::new((track.width, track.height)))
+            .add_clip(&track, keep)?;
+        watch.step();
+    }
+    let samples = samples.context("no clip has mouth images")?;
+    if samples.len() < 2 {
+        bail!("{} mouth image is too few for eigenmouths", samples.len());
+    }
+    let size = settings.eigenmouths.min(samples.len() - 1);
+    let (space, carried) = vision::eigenmouths(&samples, size)?;
+    watch.step();
+    watch.end();
+    watch.say(&format!(
+        "{size} eigenmouths of {} images ({}×{} pixels) carry {:.1} % of their variance",
+        samples.len(),
+        space.width,
+        space.height,
+        100.0 * carried
+    ));
+    let mut tensors = TensorsBuilder::default();
+    space.store(&mut tensors);
+    tensors.write(&path)?;
+    notes.note("space", &stamp)?;
+    Ok((space, stamp))
+}
+
+/// The weights of every clip's mouths, in `visual/`.
+fn weigh(
+    clips: &[Prepared],
+    stamps: &[Stamp],
+    space: &MouthSpace,
+    space_stamp: &str,
+    settings: &Settings,
+    watch: &dyn Watch,
+) -> Result<()> {
+    let seen: Vec<usize> = (0..clips.len())
+        .filter(|i| clips[*i].clip.video_frames > 0)
+        .collect();
+    watch.begin("mouth weights", seen.len());
+    seen.par_iter().try_for_each(|i| {
+        let id = &clips[*i].clip.id;
+        let path = settings.out.join("visual").join(format!("{id}.npy"));
+        let stamp = format!("{} {space_stamp} {}", stamps[*i], settings.keep_clip_mean);
+        let notes = Notes::new(&settings.out, id);
+        if notes.vouched("visual", &stamp, &path).is_none() {
+            notes.forget("visual");
+            let images = features::read_mouths(&mouths_path(&settings.out, id))?;
+            let bytes: Vec<u8> = images.into_iter().collect();
+            let weights = space
+                .project_clip(&bytes, !settings.keep_clip_mean)
+                .with_context(|| format!("clip {id}"))?;
+            npy::write_npy(&path, &weights)?;
+            notes.note("visual", &stamp)?;
+        }
+        watch.step();
+        Ok::<(), anyhow::Error>(())
+    })?;
+    watch.end();
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::corpus::discover::Source;
+    use lipstream::npy::read_npy;
+
+    /// 20 pictures of 8 × 6: three patterns in changing amounts, on a ground that differs from clip to clip.
+    fn pictures(clip: usize) -> Array4<u8> {
+        Array4::from_shape_fn((20, 6, 8, 3), |(t, y, x, c)| {
+            let phase = (t * (clip + 2)) as f32 * 0.7;
+            let open = phase.sin() * if (2..4).contains(&y) { 40.0 } else { 0.0 };
+            let wide = (1.7 * phase).cos() * if !(2..6).contains(&x) { 25.0 } else { 0.0 };
+            let teeth = (2.3 * phase).sin() * if c == 1 && y == 3 { 30.0 } else { 0.0 };
+            (120.0 + 10.0 * clip as f32 + open + wide + teeth).round() as u8
+        })
+    }
+
+    /// Everything after the tracker, on mouth images as an earlier run would have left them.
+    #[test]
+    fn weights_keep_the_distances_between_the_images_of_a_clip() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings {
+            out: folder.path().join("out"),
+            eigenmouths: 5,
+            ..Settings::default()
+        };
+        let mut clips: Vec<Prepared> = (0..3)
+            .map(|i| {
+                let video = folder.path().join(format!("c{i}.mpg"));
+                std::fs::write(&video, b"already tracked").unwrap();
+                let source = Source {
+                    id: format!("c{i}"),
+                    speaker: "s".into(),
+                    split: if i == 2 { Split::Test } else { Split::Train },
+                    video: Some(video),
+                    sound: None,
+                    labels: Vec::new(),
+                    stem: format!("c{i}"),
+                };
+                Prepared::bare(source, 0.8)
+            })
+            .collect();
+        for (i, prepared) in clips.iter().enumerate() {
+            let face = &faces(&clips).unwrap()[0];
+            let (stamp, done) = tracked(prepared, face, None, &settings.out).unwrap();
+            assert!(done.is_none());
+            write_mouths(&mouths_path(&settings.out, &prepared.clip.id), &pictures(i)).unwrap();
+            let notes = Notes::new(&settings.out, &prepared.clip.id);
+            notes.note_with("mouths", &stamp, "25").unwrap();
+        }
+        let mut skipped = Vec::new();
+        let size = see(&mut clips, &settings, &(), &mut skipped).unwrap();
+        assert_eq!((size, clips.len(), skipped.len()), (5, 3, 0));
+        for (i, prepared) in clips.iter().enumerate() {
+            assert_eq!((prepared.clip.video_frames, prepared.clip.video_hz), (20, 25.0));
+            let weights = read_npy(&settings.out.join(format!("visual/c{i}.npy"))).unwrap();
+            assert_eq!(weights.dim(), (20, 5));
+            let images = pictures(i).mapv(f32::from);
+            for (a, b) in [(0, 1), (3, 11), (19, 4)] {
+                let apart = |d: ndarray::Array1<f32>| d.dot(&d).sqrt();
+                let of = |t: usize| images.index_axis(ndarray::Axis(0), t).flatten().to_owned();
+                let (seen, expected) = (apart(&weights.row(a) - &weights.row(b)), apart(of(a) - of(b)));
+                assert!(
+                    (seen - expected).abs() < 0.03 * expected + 3.0,
+                    "{i}: {seen} {expected}"
+                );
+            }
+            assert!(
+                weights
+                    .mean_axis(ndarray::Axis(0))
+                    .unwrap()
+                    .iter()
+                    .all(|m| m.abs() < 1e-2)
+            );
+        }
+        // A video that changed is not vouched for any more; this one cannot be decoded, and is reported.
+        std::fs::write(folder.path().join("c2.mpg"), b"changed, and no video").unwrap();
+        assert_eq!(see(&mut clips, &settings, &(), &mut skipped).unwrap(), 5);
+        assert_eq!((clips.len(), skipped.len()), (2, 1));
+        assert!(skipped[0].path.ends_with("c2.mpg"), "{}", skipped[0].path);
+    }
+
+    #[test]
+    fn resampling_keeps_planes_and_their_slope() {
+        // A plane 10·x + 5·y, twice as large: inner pixels keep it at half the slope.
+        let images = Array4::from_shape_fn((2, 6, 8, 3), |(_, y, x, _)| (10 * x + 5 * y) as u8);
+        let large = resampled(&images, (16, 12));
+        assert_eq!(large.dim(), (2, 12, 16, 3));
+        for y in 1..11 {
+            for x in 1..15 {
+                let expected = 10.0 * (x as f32 + 0.5) / 2.0 - 5.0 + 5.0 * (y as f32 + 0.5) / 2.0 - 2.5;
+                let seen = f32::from(large[(1, y, x, 2)]);
+                assert!((seen - expected).abs() <= 0.51, "{x} {y}: {seen} {expected}");
+            }
+        }
+        assert_eq!(resampled(&images, (8, 6)), images);
+    }
+}

@@ -1,0 +1,367 @@
+//! A report's numbers as tables, which Markdown and HTML share.
+use super::bootstrap::{Difference, Interval};
+use super::report::Report;
+use crate::features::Split;
+use crate::noise::VOICES;
+
+/// A table with what has to be known to read it.
+pub struct Table {
+    pub title: &'static str,
+    pub note: String,
+    pub header: Vec<String>,
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    fn new(title: &'static str, note: impl Into<String>, header: &[&str]) -> Self {
+        Self {
+            title,
+            note: note.into(),
+            header: header.iter().map(|h| (*h).to_owned()).collect(),
+            rows: Vec::new(),
+        }
+    }
+}
+
+/// What was measured on, in one line.
+pub fn summary(report: &Report) -> String {
+    format!(
+        "{} {} clips of {}, {} frames at 100 Hz, {} mouth parameters. Brackets: 95 % intervals, bootstrap over clips, {} resamples, seed {}.",
+        report.clips,
+        split(report.split),
+        report.folder,
+        report.frames,
+        report.parameters,
+        report.resamples,
+        report.seed
+    )
+}
+
+/// All tables for which there are numbers.
+pub fn tables(report: &Report) -> Vec<Table> {
+    let all = [
+        Some(scores(report)),
+        against(report),
+        closure(report),
+        changes(report),
+        look_ahead(report),
+        noise(report),
+        cold_starts(report),
+        convergence(report),
+        convergence_of_clips(report),
+        Some(per_dimension(report)),
+    ];
+    all.into_iter().flatten().collect()
+}
+
+fn scores(report: &Report) -> Table {
+    let mut table = Table::new(
+        "Scores",
+        "AMSE: mean squared distance of the mouth parameters a frame. Mean distance: X&L eq. 20 as printed, without the square. ACC: X&L eq. 21, the \
+         correlation of each parameter over all frames, averaged. Look-ahead is between frame centres.",
+        &[
+            "system",
+            "look-ahead",
+            "AMSE",
+            "of the first row's",
+            "ACC",
+            "ACC of the first 5",
+            "mean distance",
+        ],
+    );
+    let first = report.systems.first().map_or(1.0, |s| s.amse.value);
+    for system in &report.systems {
+        table.rows.push(vec![
+            system.name.clone(),
+            look_ahead_ms(system.look_ahead_ms),
+            interval(&system.amse, 1),
+            format!("{:.3}", system.amse.value / first),
+            interval(&system.acc, 3),
+            interval(&system.acc_of_first_5, 3),
+            interval(&system.mean_distance, 2),
+        ]);
+    }
+    table
+}
+
+fn against(report: &Report) -> Option<Table> {
+    let reference = report.reference.as_ref()?;
+    let mut table = Table::new(
+        "Differences",
+        format!(
+            "Each system less {reference}, on the same clips: paired bootstrap; p by exchanging the two systems' clips at random, two-sided, \
+             not corrected for the number of systems."
+        ),
+        &["system", "AMSE", "p", "ACC", "p"],
+    );
+    for system in &report.systems {
+        if let Some(against) = &system.against_reference {
+            table.rows.push(vec![
+                system.name.clone(),
+                difference(&against.amse, 1),
+                p(against.amse.p),
+                difference(&against.acc, 3),
+                p(against.acc.p),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn closure(report: &Report) -> Option<Table> {
+    let closure = report.closure.as_ref()?;
+    let mut table = Table::new(
+        "Closure",
+        format!(
+            "The gap between the inner lips, in pixels of the mouth images: the true one measured on them, a prediction's read out of its weights. \
+             Closed is a gap below 5 % of the mouth's width: {:.3} of the frames. The labels have {} p, b, m, and the mouth closes within 50 ms of {} of \
+             them; kept: the prediction closes there too.",
+            closure.closed_share, closure.bilabials, closure.bilabials_closed
+        ),
+        &[
+            "system",
+            "gap's correlation",
+            "bias, px",
+            "precision of closed frames",
+            "recall",
+            "precision near p b m",
+            "recall near p b m",
+            "closures of p b m kept",
+        ],
+    );
+    for row in &closure.systems {
+        let numbers = [
+            row.precision,
+            row.recall,
+            row.precision_at_bilabials,
+            row.recall_at_bilabials,
+            row.bilabials_kept,
+        ];
+        let mut cells = vec![
+            row.name.clone(),
+            format!("{:.3}", row.correlation),
+            format!("{:+.2}", row.bias_px),
+        ];
+        cells.extend(numbers.map(|v| format!("{v:.3}")));
+        table.rows.push(cells);
+    }
+    Some(table)
+}
+
+fn changes(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Changes per second of speech",
+        "From the first to the last labelled phone: the likeliest viseme of each frame, and the mouth shapes of `lipstream cues`.",
+        &["system", "likeliest viseme", "cues"],
+    );
+    for system in &report.systems {
+        if let (Some(visemes), Some(cues)) = (system.viseme_changes_per_second, system.cue_changes_per_second)
+        {
+            table.rows.push(vec![
+                system.name.clone(),
+                format!("{visemes:.2}"),
+                format!("{cues:.2}"),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn look_ahead(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Quality against look-ahead",
+        "Between frame centres.",
+        &["family", "system", "look-ahead", "AMSE", "ACC"],
+    );
+    for curve in &report.look_ahead {
+        for point in &curve.points {
+            table.rows.push(vec![
+                curve.family.clone(),
+                point.system.clone(),
+                look_ahead_ms(point.look_ahead_ms),
+                interval(&point.amse, 1),
+                interval(&point.acc, 3),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn noise(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Noise",
+        format!(
+            "Added to the samples before the front end. The ratio is that over speech, as the front end's gate sees it in the clean clip. \
+             Babble: {} training clips of {} at once.",
+            VOICES,
+            report.babble_of.as_deref().unwrap_or(&report.folder)
+        ),
+        &["noise", "ratio", "system", "AMSE", "ACC"],
+    );
+    let listens = |name: &str| {
+        report
+            .noise
+            .first()
+            .is_some_and(|c| c.systems.iter().any(|row| row.name == name))
+    };
+    for system in report.systems.iter().filter(|s| listens(&s.name)) {
+        table.rows.push(vec![
+            "none".to_owned(),
+            String::new(),
+            system.name.clone(),
+            interval(&system.amse, 1),
+            interval(&system.acc, 3),
+        ]);
+    }
+    for condition in &report.noise {
+        for row in &condition.systems {
+            table.rows.push(vec![
+                condition.kind.name().to_owned(),
+                format!("{} dB", condition.snr_db),
+                row.name.clone(),
+                interval(&row.amse, 1),
+                interval(&row.acc, 3),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn cold_starts(report: &Report) -> Option<Table> {
+    let cold = report.cold_starts.as_ref()?;
+    let mut table = Table::new(
+        "Cold starts",
+        format!(
+            "The stream begins at a random sample of the clip, everything as new; warm are the same frames heard from the clip's beginning. \
+             {} clips, {} frames.",
+            cold.clips, cold.frames
+        ),
+        &[
+            "system",
+            "AMSE, cold",
+            "AMSE, warm",
+            "cold less warm",
+            "p",
+            "ACC, cold",
+            "ACC, warm",
+            "cold less warm",
+            "p",
+            "AMSE of the first 500 ms, cold",
+            "warm",
+        ],
+    );
+    for row in &cold.systems {
+        table.rows.push(vec![
+            row.name.clone(),
+            interval(&row.amse, 1),
+            interval(&row.warm_amse, 1),
+            difference(&row.amse_difference, 1),
+            p(row.amse_difference.p),
+            interval(&row.acc, 3),
+            interval(&row.warm_acc, 3),
+            difference(&row.acc_difference, 3),
+            p(row.acc_difference.p),
+            format!("{:.1}", row.first_half_second_amse),
+            format!("{:.1}", row.first_half_second_warm_amse),
+        ]);
+    }
+    Some(table)
+}
+
+fn convergence(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Convergence of the conversion",
+        "All clips together. Iteration 0 is the first estimate. Falls: steps of single clips in which the likelihood fell.",
+        &[
+            "system",
+            "iteration",
+            "log likelihood a frame",
+            "AMSE",
+            "ACC",
+            "falls",
+        ],
+    );
+    for system in &report.convergence {
+        for (n, ((likelihood, amse), acc)) in system
+            .log_likelihood
+            .iter()
+            .zip(&system.amse)
+            .zip(&system.acc)
+            .enumerate()
+        {
+            table.rows.push(vec![
+                system.name.clone(),
+                n.to_string(),
+                format!("{likelihood:.4}"),
+                format!("{amse:.1}"),
+                format!("{acc:.4}"),
+                system.falls.to_string(),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn convergence_of_clips(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Convergence, clip by clip",
+        "What figure 10 draws.",
+        &["system", "clip", "iteration", "log likelihood a frame", "ACC"],
+    );
+    for system in &report.convergence {
+        for clip in &system.clips {
+            for (n, (likelihood, acc)) in clip.log_likelihood.iter().zip(&clip.acc).enumerate() {
+                table.rows.push(vec![
+                    system.name.clone(),
+                    clip.clip.clone(),
+                    n.to_string(),
+                    format!("{likelihood:.4}"),
+                    format!("{acc:.4}"),
+                ]);
+            }
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
+fn per_dimension(report: &Report) -> Table {
+    let mut table = Table::new(
+        "Correlation of each mouth parameter",
+        "Over all frames; their mean is the ACC.",
+        &["parameter"],
+    );
+    table.header.extend(report.systems.iter().map(|s| s.name.clone()));
+    for k in 0..report.parameters {
+        let mut row = vec![(k + 1).to_string()];
+        row.extend(report.systems.iter().map(|s| format!("{:.3}", s.correlations[k])));
+        table.rows.push(row);
+    }
+    table
+}
+
+fn split(split: Split) -> &'static str {
+    match split {
+        Split::Train => "training",
+        Split::Val => "validation",
+        Split::Test => "test",
+    }
+}
+
+fn look_ahead_ms(ms: Option<u32>) -> String {
+    ms.map_or("whole clip".to_owned(), |ms| format!("{ms} ms"))
+}
+
+fn interval(i: &Interval, digits: usize) -> String {
+    format!("{:.digits$} [{:.digits$}, {:.digits$}]", i.value, i.low, i.high)
+}
+
+fn difference(d: &Difference, digits: usize) -> String {
+    format!(
+        "{:+.digits$} [{:+.digits$}, {:+.digits$}]",
+        d.difference, d.low, d.high
+    )
+}
+
+fn p(p: f64) -> String {
+    format!("{p:.4}")
+}

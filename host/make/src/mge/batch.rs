@@ -1,0 +1,246 @@
+//! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
+use anyhow::Result;
+use lipstream_core::N_STATIC;
+use ndarray::{Array2, ArrayBase, Data, Ix2, s};
+use rand::seq::SliceRandom;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+
+use super::data;
+use super::judge::centred;
+use super::pass::{Entropy, Masks, Tape, cross_entropy};
+use super::settings::Settings;
+use super::store::Store;
+use lipstream::kinds::recurrent::chain::Chain;
+use lipstream::kinds::recurrent::model::LEAST;
+use lipstream::kinds::recurrent::parameters::{Parameters, normal};
+use lipstream::kinds::recurrent::step::Net;
+
+/// One clip's part of a batch.
+pub(super) struct Share {
+    pub(super) gradient: Parameters,
+    pub(super) error: f64,
+    pub(super) entropy: f64,
+}
+
+pub(super) struct Trainer<'a> {
+    pub(super) settings: &'a Settings,
+    pub(super) data: &'a data::Data,
+    pub(super) chain: Chain,
+    pub(super) context_mean: Vec<f32>,
+    /// w_d.
+    pub(super) weights: Vec<f32>,
+}
+
+/// Which piece of which clip.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    /// Index into the clips with video, or into those without.
+    clip: usize,
+    heard: bool,
+    /// The clip disturbed; none: as it is.
+    variant: Option<usize>,
+    /// Frames of future that are known.
+    ahead: usize,
+    /// First frame, frames of the clip (or of its variant) per frame of the piece, and frames of the piece.
+    from: f32,
+    speed: f32,
+    frames: usize,
+}
+
+impl Piece {
+    /// Frame of the clip under frame t of the piece, the next one, and how far it is towards that.
+    fn place(&self, t: usize, all: usize) -> (usize, usize, f32) {
+        let place = (self.from + t as f32 * self.speed).clamp(0.0, (all - 1) as f32);
+        let before = place as usize;
+        (before, (before + 1).min(all - 1), place - before as f32)
+    }
+
+    /// Rows of `of` at the piece's speed, `frames` of them, linear between the clip's.
+    fn cut<S: Data<Elem = f32>>(&self, of: &ArrayBase<S, Ix2>, frames: usize) -> Array2<f32> {
+        Array2::from_shape_fn((frames, of.ncols()), |(t, d)| {
+            let (before, after, share) = self.place(t, of.nrows());
+            of[[before, d]] + share * (of[[after, d]] - of[[before, d]])
+        })
+    }
+}
+
+impl Trainer<'_> {
+    pub(super) fn steps_per_pass(&self) -> usize {
+        self.data.train.len().div_ceil(self.settings.batch)
+    }
+
+    fn clips(&self, heard: bool) -> &Store {
+        if heard { &self.data.heard } else { &self.data.train }
+    }
+
+    /// The pieces of a step: its share of this pass's shuffled clips, whole or cropped.
+    fn pieces(&self, step: usize) -> Vec<Piece> {
+        let (pass, index) = (step / self.steps_per_pass(), step % self.steps_per_pass());
+        let shuffled = |n: usize, stream: u64| -> Vec<usize> {
+            let mut order: Vec<usize> = (0..n).collect();
+            order.shuffle(&mut self.random(stream, pass as u64));
+            order
+        };
+        let with_video = shuffled(self.data.train.len(), 1);
+        let heard = shuffled(self.data.heard.len(), 2);
+        let mut rng = self.random(3, step as u64);
+        let crop = rng.random::<f32>() < self.settings.crops;
+        let share = |order: &[usize]| -> Vec<usize> {
+            let n = self.steps_per_pass();
+            order[order.len() * index / n..order.len() * (index + 1) / n].to_vec()
+        };
+        let mut pieces = Vec::new();
+        for (order, heard) in [(share(&with_video), false), (share(&heard), true)] {
+            for clip in order {
+                let note = self.clips(heard).note(clip);
+                let variants = &note.variants;
+                let variant = (!variants.is_empty() && rng.random::<f32>() < self.settings.disturbed)
+                    .then(|| rng.random_range(0..variants.len()));
+                let ahead = match self.settings.look_aheads.as_slice() {
+                    [] => self.settings.context.look_ahead(),
+                    some => some[rng.random_range(0..some.len())].min(self.settings.context.look_ahead()),
+                };
+                let all = variant.map_or(note.frames, |v| variants[v].1);
+                let warp = self.settings.warp;
+                let speed = 1.0 + warp * rng.random_range(-1.0f32..=1.0);
+                let whole = ((all - 1) as f32 / speed) as usize + 1;
+                let frames = if crop {
+                    self.settings.crop.min(whole)
+                } else {
+                    whole
+                };
+                let room = (whole - frames) as f32 * speed;
+                // A variant that begins in mid-clip is a cold start: its beginning is what there is to learn.
+                let is_cold = variant.is_some_and(|v| variants[v].0 > 0);
+                let from = if is_cold {
+                    0.0
+                } else {
+                    (room * rng.random::<f32>()).round()
+                };
+                pieces.push(Piece {
+                    clip,
+                    heard,
+                    variant,
+                    ahead,
+                    from,
+                    speed,
+                    frames,
+                });
+            }
+        }
+        pieces
+    }
+
+    fn random(&self, stream: u64, at: u64) -> Pcg64 {
+        Pcg64::seed_from_u64(self.settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (stream << 56) ^ at)
+    }
+
+    /// Loss and gradient of one piece, already divided by the batch's frames (`video`, `heard`).
+    fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Result<Share> {
+        let settings = self.settings;
+        let clip = self.clips(piece.heard).get(piece.clip)?;
+        let (of, first) = match piece.variant {
+            None => (&clip.x, 0),
+            Some(v) => (&clip.variants[v].x, clip.variants[v].first),
+        };
+        let all = of.nrows();
+        let mut x = piece.cut(of, piece.frames + settings.context.look_ahead());
+        let shift: [f32; N_STATIC] = std::array::from_fn(|_| settings.clip_noise * normal(rng));
+        for mut row in x.outer_iter_mut() {
+            for (x, s) in row.iter_mut().zip(shift) {
+                *x += s + settings.frame_noise * normal(rng);
+            }
+        }
+        let mut mask = |n: usize, share: f32| -> Vec<f32> {
+            let keep = 1.0 / (1.0 - share);
+            (0..n)
+                .map(|_| if rng.random::<f32>() < share { 0.0 } else { keep })
+                .collect()
+        };
+        let shape = &net.p.shape;
+        let masks = Masks {
+            output: mask(shape.memory, settings.output_dropout),
+            feedback: mask(shape.fed_back(), settings.feedback_dropout),
+        };
+        let context = centred(
+            &settings.context.stack_within(&x, piece.frames, piece.ahead),
+            &self.context_mean,
+        );
+        let tape = Tape::forward(net, context, masks);
+        let targets: Vec<(usize, usize)> = (0..piece.frames)
+            .map(|t| {
+                let (before, after, share) = piece.place(t, all);
+                clip.states[first + if share < 0.5 { before } else { after }]
+            })
+            .collect();
+        let mut g_output = Array2::zeros((piece.frames, shape.outputs));
+        let mut error = 0.0;
+        let n = if piece.heard { frames.1 } else { frames.0 } as f32;
+        let entropy = Entropy {
+            audio: if piece.heard {
+                settings.heard_entropy
+            } else {
+                settings.audio_entropy
+            } / n,
+            visual: if piece.heard { 0.0 } else { settings.visual_entropy } / n,
+            atoms: settings.atoms,
+        };
+        if let (Some(mouth), false) = (&clip.mouth, piece.heard) {
+            let mouth = piece.cut(&mouth.slice(s![first..first + all, ..]), piece.frames);
+            for t in 0..piece.frames {
+                for (d, w) in self.weights.iter().enumerate() {
+                    let e = tape.output[[t, d]] - mouth[[t, d]];
+                    error += f64::from(w * e * e);
+                    g_output[[t, d]] = 2.0 * w * e / n;
+                }
+            }
+        }
+        let mut gradient = Parameters::zeros(shape);
+        tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
+        // One clip in which a state hangs by a thread must not steer the whole batch.
+        gradient.cut(settings.rule.clip);
+        Ok(Share {
+            gradient,
+            error: error / f64::from(n),
+            entropy: cross_entropy(&tape, &targets, entropy),
+        })
+    }
+
+    /// Gradient and losses of a step.
+    pub(super) fn batch(&self, parameters: &Parameters, step: usize) -> Result<Share> {
+        let pieces = self.pieces(step);
+        let count = |heard: bool| pieces.iter().filter(|p| p.heard == heard).map(|p| p.frames).sum();
+        let frames: (usize, usize) = (count(false), count(true));
+        let net = Net::new(parameters, &self.chain, LEAST);
+        let mut total = Share {
+            gradient: Parameters::zeros(&parameters.shape),
+            error: 0.0,
+            entropy: 0.0,
+        };
+        // In groups, so that not every gradient of the batch lies in memory at once.
+        for (group, pieces) in pieces.chunks(GROUP).enumerate() {
+            let shares: Vec<Share> = pieces
+                .par_iter()
+                .enumerate()
+                .map(|(i, piece)| {
+                    let place = (step as u64) << 16 | (group * GROUP + i) as u64;
+                    self.learn(&net, piece, frames, &mut self.random(4, place))
+                })
+                .collect::<Result<_>>()?;
+            for share in shares {
+                let sum = &mut total.gradient.values;
+                sum.iter_mut()
+                    .zip(&share.gradient.values)
+                    .for_each(|(a, b)| *a += b);
+                total.error += share.error;
+                total.entropy += share.entropy;
+            }
+        }
+        Ok(total)
+    }
+}
+
+/// Pieces whose gradients are held at once.
+const GROUP: usize = 8;

@@ -1,0 +1,85 @@
+//! Where training stands, so that a killed run goes on to the same bytes.
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use ndarray::{Array1, ArrayView1};
+
+use super::optimise::Optimiser;
+use lipstream::kinds::recurrent::parameters::{Parameters, Shape};
+use lipstream::tensors::{Tensors, TensorsBuilder};
+
+/// The best parameters so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Best {
+    pub error: f64,
+    pub parameters: Parameters,
+    pub pass: usize,
+}
+
+/// Writes aside, then renames.
+pub fn write(path: &Path, optimiser: &Optimiser, best: &Best, context_mean: &[f32], run: u64) -> Result<()> {
+    let mut out = TensorsBuilder::default();
+    out.note("kind", "mge checkpoint");
+    out.note("run", format!("{run:016x}"));
+    out.note("step", optimiser.step);
+    out.note("best.error", format!("{:016x}", best.error.to_bits()));
+    out.note("best.pass", best.pass);
+    let arrays = [
+        ("parameters", &optimiser.parameters.values),
+        ("first", &optimiser.first),
+        ("second", &optimiser.second),
+        ("mean", &optimiser.mean.values),
+        ("best", &best.parameters.values),
+    ];
+    for (name, values) in arrays {
+        out.put(name, &ArrayView1::from(values.as_slice()));
+    }
+    out.put("context_mean", &ArrayView1::from(context_mean));
+    out.write(path)
+}
+
+/// Reads what [`write()`] wrote; `None` where there is nothing. A checkpoint of another run is refused.
+pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, Best, Vec<f32>)>> {
+    if !path.exists() {
+        return Ok(None);
+    }
+    let from = Tensors::read(path)?;
+    let other = || {
+        format!(
+            "{} is the checkpoint of a training run with other settings or data: remove it to start anew",
+            path.display()
+        )
+    };
+    let written: String = from.noted("run").with_context(other)?;
+    if written != format!("{run:016x}") {
+        bail!(other());
+    }
+    let values = |name: &str| -> Result<Vec<f32>> {
+        let array: Array1<f32> = from.array(name)?;
+        Ok(array.to_vec())
+    };
+    let empty = Parameters::zeros(shape);
+    let parameters = |name: &str| -> Result<Parameters> {
+        let mut p = empty.clone();
+        let read = values(name)?;
+        if read.len() != p.values.len() {
+            bail!(other());
+        }
+        p.values = read;
+        Ok(p)
+    };
+    let optimiser = Optimiser {
+        parameters: parameters("parameters")?,
+        first: parameters("first")?.values,
+        second: parameters("second")?.values,
+        mean: parameters("mean")?,
+        step: from.noted("step")?,
+    };
+    let bits: String = from.noted("best.error")?;
+    let best = Best {
+        error: f64::from_bits(u64::from_str_radix(&bits, 16).with_context(other)?),
+        parameters: parameters("best")?,
+        pass: from.noted("best.pass")?,
+    };
+    Ok(Some((optimiser, best, values("context_mean")?)))
+}

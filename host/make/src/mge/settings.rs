@@ -1,0 +1,129 @@
+//! Choices of a training run.
+use anyhow::{Result, bail};
+
+use super::optimise::Rule;
+use super::start::StartSettings;
+use lipstream::kinds::recurrent::context::Context;
+use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
+
+/// Choices of a training run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    pub context: Context,
+    pub inputs: usize,
+    pub memory: usize,
+    pub feedback: Feedback,
+    pub maps: Gate,
+    pub rates: Gate,
+    /// Passes over the clips with video.
+    pub passes: usize,
+    /// Clips with video in a batch.
+    pub batch: usize,
+    /// Frames of a crop, and the share of batches that are crops.
+    pub crop: usize,
+    pub crops: f32,
+    /// κ_a, κ_v, κ_h.
+    pub audio_entropy: f32,
+    pub visual_entropy: f32,
+    pub heard_entropy: f32,
+    /// Cross-entropy of phones and visemes instead of their states.
+    pub atoms: bool,
+    /// Greatest change of speed: a clip is played 1 − warp to 1 + warp times as fast.
+    pub warp: f32,
+    /// Deviation of the noise on the statics, per frame and per clip.
+    pub frame_noise: f32,
+    pub clip_noise: f32,
+    /// Share of memory numbers that a clip's mouth, or its visual emissions, do without.
+    pub output_dropout: f32,
+    pub feedback_dropout: f32,
+    /// Times that every training clip is heard more, disturbed, and the share of pieces that are.
+    pub variants: usize,
+    pub disturbed: f32,
+    /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
+    pub look_aheads: Vec<usize>,
+    /// ρ: 0 weighs standardised parameters alike, 2 is the plain squared error.
+    pub error_power: f32,
+    pub rule: Rule,
+    pub start: StartSettings,
+    pub seed: u64,
+    /// At most so many training clips with video.
+    pub clips: Option<usize>,
+    /// Training clips that join the validation clips.
+    pub hold_out: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            context: Context::default(),
+            inputs: 72,
+            memory: 144,
+            feedback: Feedback::Output,
+            maps: Gate::Both,
+            rates: Gate::Visual,
+            passes: 70,
+            batch: 20,
+            crop: 160,
+            crops: 0.5,
+            audio_entropy: 0.05,
+            visual_entropy: 0.05,
+            heard_entropy: 0.05,
+            atoms: false,
+            warp: 0.0,
+            frame_noise: 0.15,
+            clip_noise: 0.15,
+            output_dropout: 0.2,
+            feedback_dropout: 0.1,
+            variants: 6,
+            disturbed: 0.3,
+            look_aheads: vec![3, 6, 8],
+            error_power: 1.0,
+            rule: Rule::default(),
+            start: StartSettings::default(),
+            seed: 1,
+            clips: None,
+            hold_out: 0,
+        }
+    }
+}
+
+impl Settings {
+    /// Refuses in words what cannot be trained with.
+    pub fn check(&self) -> Result<()> {
+        self.context.check()?;
+        let ok = self.inputs > 0
+            && self.memory > 0
+            && self.passes > 0
+            && self.batch > 0
+            && self.batch < 1 << 16
+            && self.crop > 0
+            && self.rates != Gate::Both;
+        if !ok {
+            bail!("inputs, memory, passes, batch and crop must be at least 1, and one chain owns the rates");
+        }
+        for (name, share) in [
+            ("dropout of the memory", self.output_dropout),
+            ("dropout of the feedback", self.feedback_dropout),
+            ("change of speed", self.warp),
+            ("share of disturbed pieces", self.disturbed),
+        ] {
+            if !(0.0..1.0).contains(&share) {
+                bail!("the {name} is {share}: give 0 or more, less than 1");
+            }
+        }
+        let positive = [
+            self.audio_entropy,
+            self.visual_entropy,
+            self.heard_entropy,
+            self.frame_noise,
+            self.clip_noise,
+            self.rule.rate,
+            self.rule.decay,
+            self.rule.transition_rate,
+        ];
+        if positive.iter().any(|v| !(v.is_finite() && *v >= 0.0)) {
+            bail!("weights, noise, rates and decay must be 0 or more");
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,251 @@
+//! The first stage (X&L section 3.4): joint EM on sound and video, mixtures grown by splitting while the validation
+//! clips grow likelier.
+use std::time::Instant;
+
+use anyhow::{Context as _, Result, bail};
+use ndarray::{Array3, s};
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
+
+use super::bigram::{self, Said};
+use super::data::{Clips, Observed, stacked};
+use super::state::State;
+use super::{Say, Settings};
+use crate::em::density::{self, Floors};
+use crate::em::source::{Source, in_order};
+use crate::em::{self, Aligner, Parameters};
+use lipstream::hmm::joint::N_EMITTING;
+use lipstream::hmm::mixtures::Mixtures;
+use lipstream::hmm::system::{Density, System};
+use lipstream::hmm::topology::Topology;
+use lipstream::phones::Phone;
+
+/// Frames that a component must have before it is split.
+pub(super) const ENOUGH_TO_SPLIT: f64 = 30.0;
+
+/// What the first stage leaves.
+pub(super) struct Coupled {
+    /// Transitions, and densities of the sound and of the mouth. Components of a joint density stand side by side in
+    /// both.
+    pub(super) parameters: Parameters,
+    pub(super) aligned: Aligned,
+}
+
+/// What the forced alignment of the training clips is asked for later.
+pub(super) struct Aligned {
+    /// Whether a path fits, clip by clip.
+    pub(super) fits: Vec<bool>,
+    /// Frames in each visual state.
+    pub(super) visual_frames: Vec<f64>,
+    /// What was said.
+    pub(super) said: Said,
+    /// Where an HMM of the sound alone starts.
+    pub(super) sound: em::Start,
+}
+
+/// Trains `system`'s HMM on clips with video.
+pub(super) fn coupled(
+    train: &Clips,
+    validation: &Clips,
+    phones: &[Phone],
+    system: System,
+    settings: &Settings,
+    say: Say,
+) -> Result<Coupled> {
+    let observed = observed(system);
+    let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
+    let parameters = grow(&train_on, &judge_on, phones, system, settings, say)?;
+    finish(parameters, train, observed)
+}
+
+/// What `system`'s densities see.
+pub(super) fn observed(system: System) -> Observed {
+    match system.density {
+        Density::Streams => Observed::Apart,
+        Density::Joint => Observed::Stacked,
+    }
+}
+
+/// The first stage as `lipstream train accumulate` and `merge` have done it.
+pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Result<Coupled> {
+    let parameters = state.parameters.clone();
+    if parameters.phones != phones {
+        bail!(
+            "the state is over {} phones, the clips say {}: start it with the same folders",
+            parameters.phones.len(),
+            phones.len()
+        );
+    }
+    let observed = observed(state.system);
+    let have = (
+        parameters.audio.mean.dim().2,
+        parameters.visual.as_ref().map(|v| v.mean.dim().2),
+    );
+    let clips = train.observed(observed);
+    let first = clips.get(0)?;
+    if have != (first.audio.ncols(), first.visual.as_ref().map(|v| v.ncols())) {
+        bail!("the state is of other features: start it with the same folders");
+    }
+    finish(parameters, train, observed)
+}
+
+/// Aligns the clips, and parts joint densities into those of the sound and those of the mouth.
+fn finish(mut parameters: Parameters, train: &Clips, observed: Observed) -> Result<Coupled> {
+    let audio_size = train.get(0)?.audio.ncols();
+    let aligned = align(&parameters, train, observed, audio_size)?;
+    if observed == Observed::Stacked {
+        part(&mut parameters, audio_size);
+    }
+    Ok(Coupled { parameters, aligned })
+}
+
+fn align(parameters: &Parameters, train: &Clips, observed: Observed, audio_size: usize) -> Result<Aligned> {
+    let n_visual = parameters.topology.n_visual_states(parameters.phones.len());
+    let mut aligned = Aligned {
+        fits: Vec::new(),
+        visual_frames: vec![0.0; n_visual],
+        said: Said::none(parameters.phones.len()),
+        sound: em::Start::new(Topology::PH_HMM, &parameters.phones, (audio_size, 0)),
+    };
+    let aligner = Aligner::new(parameters);
+    let work = |n: usize| {
+        let mut utterance = train.get(n)?.into_owned();
+        let path = match observed {
+            Observed::Stacked => aligner.path(&stacked(utterance.clone())?),
+            Observed::Apart | Observed::Sound => aligner.path(&utterance),
+        };
+        utterance.visual = None;
+        Ok((utterance, path))
+    };
+    in_order(train.len(), work, |(heard, path)| {
+        aligned.fits.push(path.is_some());
+        let Some(path) = path else { return Ok(()) };
+        path.iter().for_each(|&(_, v)| aligned.visual_frames[v] += 1.0);
+        aligned.said.add(&bigram::said_on(&path));
+        let labels: Vec<_> = path
+            .iter()
+            .map(|&(a, _)| (a / N_EMITTING, a % N_EMITTING))
+            .collect();
+        aligned.sound.add(&heard, &labels);
+        Ok(())
+    })?;
+    Ok(aligned)
+}
+
+/// Parts joint densities into those of the sound, the first `audio_size` numbers, and those of the mouth.
+fn part(parameters: &mut Parameters, audio_size: usize) {
+    let both = &parameters.audio;
+    let end = both.mean.dim().2;
+    let part = |from, to| {
+        let part = |of: &Array3<f32>| of.slice(s![.., .., from..to]).to_owned();
+        Mixtures {
+            mean: part(&both.mean),
+            variance: part(&both.variance),
+            log_weight: both.log_weight.clone(),
+        }
+    };
+    let (audio, visual) = (part(0, audio_size), part(audio_size, end));
+    parameters.audio = audio;
+    parameters.visual = Some(visual);
+}
+
+/// Grows mixtures by splitting, with EM passes in between; prints the log likelihood of each. The numbers of components
+/// are those under which the validation clips are likeliest, at most what the settings allow.
+fn grow(
+    train: &Clips,
+    validation: &Clips,
+    phones: &[Phone],
+    system: System,
+    settings: &Settings,
+    say: Say,
+) -> Result<Parameters> {
+    let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
+    let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
+    let mut best: Option<(f64, Parameters)> = None;
+    loop {
+        let sums = passes(
+            &mut parameters,
+            train,
+            &audio_floors,
+            visual_floors.as_ref(),
+            settings,
+            say,
+        )?;
+        if !validation.is_empty() {
+            let unseen = em::expect(&parameters, validation)?.per_frame();
+            say(&format!("  validation clips: {unseen:.4} a frame"));
+            match &best {
+                Some((likeliest, before)) if unseen <= *likeliest => return Ok(before.clone()),
+                _ => best = Some((unseen, parameters.clone())),
+            }
+        }
+        let audio_more = parameters.audio.mean.dim().1 < settings.audio_mixtures;
+        if audio_more {
+            parameters.audio =
+                density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, signs.as_mut());
+        }
+        let mut visual_more = false;
+        if let (Some(visual), Some(sums)) = (&parameters.visual, &sums.visual)
+            && visual.mean.dim().1 < settings.visual_mixtures
+        {
+            visual_more = true;
+            parameters.visual = Some(density::split(visual, sums, ENOUGH_TO_SPLIT, signs.as_mut()));
+        }
+        if !audio_more && !visual_more {
+            return Ok(parameters);
+        }
+    }
+}
+
+/// Splits the audio components of an audio HMM once more.
+pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
+    parameters.audio = density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, None);
+}
+
+/// A stage of EM passes; returns the sums of the last one. What an interrupted run has kept is taken up.
+pub(super) fn passes(
+    parameters: &mut Parameters,
+    clips: &Clips,
+    audio: &Floors,
+    visual: Option<&Floors>,
+    settings: &Settings,
+    say: Say,
+) -> Result<em::Sums> {
+    let n = settings.iterations.max(1);
+    let stage = settings.progress.stage();
+    let (mut done, mut last) = (0, None);
+    if let Some((pass, kept, sums)) = stage.load(n, parameters) {
+        say(&format!("  {pass} of {n} passes were made before"));
+        *parameters = kept;
+        (done, last) = (pass, Some(sums));
+    }
+    for pass in done + 1..=n {
+        let begun = Instant::now();
+        let sums = em::expect(parameters, clips)?;
+        if sums.frames == 0 {
+            bail!("no utterance fits its transcript: check the labels");
+        }
+        if !sums.failed.is_empty() {
+            say(&format!(
+                "no path through {} utterances: {}",
+                sums.failed.len(),
+                sums.failed.join(" ")
+            ));
+        }
+        if pass == 1 {
+            em::warnings(parameters, &sums, audio)
+                .iter()
+                .for_each(|line| say(line));
+        }
+        em::maximise(parameters, &sums, audio, visual);
+        stage.save(pass, parameters, &sums)?;
+        say(&format!(
+            "  K = {}: log likelihood {:.4} a frame ({:.1} s)",
+            parameters.audio.mean.dim().1,
+            sums.per_frame(),
+            begun.elapsed().as_secs_f32()
+        ));
+        last = Some(sums);
+    }
+    last.context("at least one pass was made")
+}

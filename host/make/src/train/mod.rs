@@ -1,0 +1,198 @@
+//! From feature folders to a model (DESIGN section 4): joint EM on audio and video, the audio densities retrained on
+//! many speakers, recombination, and how the model is followed and what it says, chosen on validation clips.
+mod audio;
+mod bigram;
+pub mod data;
+mod em;
+pub mod local_linear;
+pub(crate) mod maps;
+pub mod progress;
+pub mod shards;
+pub mod state;
+pub mod sums;
+
+use anyhow::{Context as _, Result, bail};
+use ndarray::Array1;
+
+use self::data::{Clips, Observed};
+use self::progress::Progress;
+use self::state::State;
+use crate::em::source::Source;
+use crate::features::{FeatureFolder, Split};
+use lipstream::hmm::Hmm;
+use lipstream::hmm::system::System;
+use lipstream::kinds::likelihood::Model;
+use lipstream::mouth::MouthSpace;
+use lipstream::tensors::Tensors;
+
+/// Choices of a training run.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    pub system: System,
+    /// Most components per audio state (or joint state), a power of two.
+    pub audio_mixtures: usize,
+    /// Most components per visual state, a power of two.
+    pub visual_mixtures: usize,
+    /// EM passes between splits, and after the last one.
+    pub iterations: usize,
+    /// Taps of the context in hops; the last one is the look-ahead.
+    pub taps: Vec<i32>,
+    /// Numbers that are left of the stacked statics.
+    pub context: usize,
+    /// Frames that the occupancies wait, beyond ΔΔ's look-ahead.
+    pub lag: usize,
+    /// Acoustic scales that the validation clips choose from.
+    pub acoustic_scales: Vec<f32>,
+    /// Ridge penalties of the residual maps, in frames, that the validation clips choose from.
+    pub penalties: Vec<f64>,
+    /// So many training clips with video, drawn by the seed; all where `None`.
+    pub clips: Option<usize>,
+    /// 0: components split along all dimensions alike; else the directions are drawn.
+    pub seed: u64,
+    /// Where an interrupted run is taken up from; by default nothing is kept.
+    pub progress: Progress,
+    /// The first stage as shards have done it, in place of joint EM.
+    pub state: Option<State>,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            system: System::LOCAL_LINEAR,
+            audio_mixtures: 4,
+            visual_mixtures: 2,
+            iterations: 4,
+            taps: (-30..=8).step_by(2).collect(),
+            context: 48,
+            lag: 4,
+            acoustic_scales: vec![0.05, 0.1, 0.2, 0.4],
+            penalties: vec![100.0, 300.0, 1000.0],
+            clips: None,
+            seed: 0,
+            progress: Progress::default(),
+            state: None,
+        }
+    }
+}
+
+/// Where training says what it does.
+pub type Say<'a> = &'a dyn Fn(&str);
+
+/// Trains on the audio-visual clips of `folder` and the sound of every folder in `audio_only`.
+pub fn train(
+    folder: &FeatureFolder,
+    audio_only: &[FeatureFolder],
+    settings: &Settings,
+    say: Say,
+) -> Result<Model> {
+    if folder.manifest.visual_size == 0 {
+        bail!(
+            "{} has no video: a mouth cannot be learnt from sound alone",
+            folder.root.display()
+        );
+    }
+    for count in [settings.audio_mixtures, settings.visual_mixtures] {
+        if !count.is_power_of_two() {
+            bail!("mixtures grow by splitting: {count} components are not a power of two");
+        }
+    }
+    let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
+    let phones = data::phones_said(folders.iter().flat_map(|f| f.split(Split::Train)));
+    let with_video = |split| Clips::new(folder, split, &phones, say).readable(true, say);
+    let mut train = with_video(Split::Train);
+    if let Some(clips) = settings.clips {
+        train.draw(clips, settings.seed);
+    }
+    let validation = with_video(Split::Val);
+    if train.is_empty() {
+        bail!("{} has no training clip that can be used", folder.root.display());
+    }
+    let mut heard = Clips::none(&phones).observed(Observed::Sound);
+    for folder in audio_only {
+        let clips = Clips::new(folder, Split::Train, &phones, say).observed(Observed::Sound);
+        heard.extend(&clips.readable(false, say));
+    }
+
+    let system = settings.system;
+    say(&format!(
+        "{}: {}\n{} phones; joint EM on {} clips",
+        system.name,
+        system.describe(),
+        phones.len(),
+        train.len()
+    ));
+    let mut coupled = match &settings.state {
+        Some(state) if state.system == system => em::from_state(state, &train, &phones)?,
+        Some(state) => bail!("the state is of {}, not of {}", state.system.name, system.name),
+        None => em::coupled(&train, &validation, &phones, system, settings, say)?,
+    };
+    let seen = audio::seen(&train, phones.len());
+    coupled.parameters.transition = audio::pool_unseen(&coupled.parameters, &seen);
+    audio::look_of_viseme(&mut coupled, &seen);
+    say("audio densities on all speakers");
+    let em::Coupled { parameters, aligned } = coupled;
+    let (initial, bigram) = bigram::bigram(phones.len(), &aligned.said, &heard);
+    let audio = match heard.is_empty() {
+        true => parameters.audio,
+        false => {
+            let all = audio::all_speakers(aligned, &train, &heard)?;
+            audio::retrain(&parameters, &seen, system.density, all, settings, say)?
+        }
+    };
+    let visual = parameters.visual.context("joint EM left no visual densities")?;
+    let hmm = Hmm {
+        topology: system.topology,
+        density: system.density,
+        phones: &phones,
+        audio: &audio,
+        visual: &visual,
+        transition: &parameters.transition,
+        initial: &initial,
+        bigram: &bigram,
+    };
+    say("how it is followed, and what it says");
+    let judges = match validation.is_empty() {
+        true => &train,
+        false => &validation,
+    };
+    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, say)?;
+    let conversion = maps::conversion(&hmm, judges, settings, say)?;
+    let mouth = match folder.mouth_path() {
+        path if path.exists() => Some(MouthSpace::load(&Tensors::read(&path)?)?),
+        _ => None,
+    };
+    let provenance = format!(
+        "{}: {}; {} clips of {} with video, {} clips with sound only; {} audio and {} visual components",
+        system.name,
+        system.describe(),
+        train.len(),
+        corpus_name(folder),
+        heard.len(),
+        audio.mean.dim().1,
+        visual.mean.dim().1
+    );
+    Ok(Model {
+        system,
+        phones: phones.clone(),
+        start_mean: Array1::from(folder.manifest.start_mean.clone()),
+        audio,
+        visual,
+        transition: parameters.transition,
+        bigram,
+        initial: Array1::from(initial),
+        context,
+        maps,
+        following,
+        conversion,
+        mouth,
+        provenance,
+    })
+}
+
+pub(crate) fn corpus_name(folder: &FeatureFolder) -> String {
+    let path = std::path::Path::new(&folder.manifest.corpus);
+    path.file_name().map_or_else(
+        || folder.manifest.corpus.clone(),
+        |n| n.to_string_lossy().into_owned(),
+    )
+}

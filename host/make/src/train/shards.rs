@@ -1,0 +1,145 @@
+//! Joint EM in pieces: a start, sums of a share of the corpus, an M step from all of them.
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use lipstream_core::model::field::checksum;
+
+use super::data::{self, Clips};
+use super::state::State;
+use super::sums::{self, Origin};
+use super::{Say, em as joint};
+use crate::em::density::{self, Accumulator};
+use crate::em::source::Source;
+use crate::em::{self, Sums};
+use crate::features::{FeatureFolder, Split};
+use lipstream::hmm::mixtures::Mixtures;
+use lipstream::hmm::system::System;
+use lipstream::phones::Phone;
+use lipstream_media::files;
+
+/// The training clips of a folder as `system` sees them.
+pub fn clips<'a>(folder: &'a FeatureFolder, system: System, phones: &'a [Phone], say: Say) -> Clips<'a> {
+    Clips::new(folder, Split::Train, phones, say).observed(joint::observed(system))
+}
+
+/// The state before the first pass: one Gaussian a state, from the labels. `others` hold phones that the folder lacks.
+pub fn start(folder: &FeatureFolder, others: &[FeatureFolder], system: System, say: Say) -> Result<State> {
+    if folder.manifest.visual_size == 0 {
+        bail!(
+            "{} has no video: a mouth cannot be learnt from sound alone",
+            folder.root.display()
+        );
+    }
+    let folders = std::iter::once(folder).chain(others);
+    let phones = data::phones_said(folders.flat_map(|f| f.split(Split::Train)));
+    let clips = clips(folder, system, &phones, say);
+    if clips.is_empty() {
+        bail!("{} has no training clip that can be used", folder.root.display());
+    }
+    let (parameters, audio_floors, visual_floors) = em::start(&clips, system.topology, &phones)?;
+    Ok(State {
+        system,
+        parameters,
+        audio_floors,
+        visual_floors,
+        passes: 0,
+    })
+}
+
+/// Clips of shard `shard` of `of` (from 1): whole chunks, so that every sum but the last few is that of one run.
+fn share(shard: usize, of: usize, clips: usize) -> Range<usize> {
+    let chunks = em::chunks(clips);
+    em::chunk_range(chunks * (shard - 1) / of, chunks * shard / of, clips)
+}
+
+/// E step over one shard.
+pub fn accumulate(
+    folder: &FeatureFolder,
+    state: &State,
+    (shard, of): (usize, usize),
+    say: Say,
+) -> Result<Sums> {
+    let clips = clips(folder, state.system, &state.parameters.phones, say);
+    let range = share(shard, of, clips.len());
+    if range.is_empty() {
+        say(&format!(
+            "shard {shard} of {of} has no clips: there are {} in pieces of {}",
+            clips.len(),
+            em::chunk_range(0, 1, usize::MAX).end
+        ));
+    }
+    em::expect_from(&state.parameters, &clips, range, None)
+}
+
+/// Says which corpus it is.
+pub fn corpus(folder: &FeatureFolder) -> Result<u32> {
+    Ok(checksum(&files::read_bytes(&folder.root.join("manifest.json"))?))
+}
+
+/// [`accumulate`] from files to a file; returns the sums as well.
+pub fn accumulate_files(
+    folder: &FeatureFolder,
+    state: &Path,
+    (shard, of): (usize, usize),
+    out: &Path,
+    say: Say,
+) -> Result<Sums> {
+    if shard == 0 || shard > of {
+        bail!("there is no shard {shard} of {of}: they go from 1 to {of}");
+    }
+    let (state, checksum) = State::read(state)?;
+    let sums = accumulate(folder, &state, (shard, of), say)?;
+    let origin = Origin {
+        state: checksum,
+        corpus: corpus(folder)?,
+        shard,
+        of,
+    };
+    sums::write(out, &origin, &sums)?;
+    Ok(sums)
+}
+
+/// How far splitting goes after an M step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Splitting {
+    pub audio_mixtures: usize,
+    pub visual_mixtures: usize,
+}
+
+/// M step from the sums of all shards; then, where asked, components split.
+pub fn merge(state: &Path, sums: &[PathBuf], split: Option<Splitting>) -> Result<(State, Sums)> {
+    let (mut state, checksum) = State::read(state)?;
+    let sums = sums::merge(sums, checksum)?;
+    let fits = |mixtures: &Mixtures, sums: &Accumulator| mixtures.mean.dim() == sums.first.dim();
+    let visual_fits = match (&state.parameters.visual, &sums.visual) {
+        (Some(mixtures), Some(sums)) => fits(mixtures, sums),
+        (None, None) => true,
+        _ => false,
+    };
+    if !visual_fits || !fits(&state.parameters.audio, &sums.audio) {
+        bail!("the sums do not fit the state");
+    }
+    if sums.frames == 0 {
+        bail!("no utterance fits its transcript: check the labels");
+    }
+    let parameters = &mut state.parameters;
+    em::maximise(
+        parameters,
+        &sums,
+        &state.audio_floors,
+        state.visual_floors.as_ref(),
+    );
+    if let Some(most) = split {
+        if parameters.audio.mean.dim().1 < most.audio_mixtures {
+            parameters.audio = density::split(&parameters.audio, &sums.audio, joint::ENOUGH_TO_SPLIT, None);
+        }
+        if let (Some(visual), Some(sums)) = (&parameters.visual, &sums.visual)
+            && visual.mean.dim().1 < most.visual_mixtures
+        {
+            parameters.visual = Some(density::split(visual, sums, joint::ENOUGH_TO_SPLIT, None));
+        }
+    }
+    state.passes += 1;
+    Ok((state, sums))
+}

@@ -1,0 +1,14 @@
+//! Video to steady, colour-normalised mouth images and eigenmouths, without manual work (DESIGN section 7).
+mod affine;
+mod colour;
+mod eigen;
+mod face;
+mod image;
+mod reference;
+mod register;
+mod tracker;
+
+pub use affine::Affine;
+pub use colour::ChannelMap;
+pub use eigen::{MouthSamples, eigenmouths};
+pub use tracker::{MouthTrack, Tracker};

@@ -1,0 +1,385 @@
+//! Minimum generation error training end to end on a made-up talker: learnt, the same bytes again, interrupted and
+//! gone on with, streamed as in batches, refused in words.
+use std::path::Path;
+
+use lipstream::export::{MgeSettings, export_mge};
+use lipstream::hmm::joint::N_EMITTING;
+use lipstream::kinds::likelihood::Model;
+use lipstream::kinds::recurrent::chain::VISUAL;
+use lipstream::kinds::recurrent::live;
+use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate};
+use lipstream::kinds::recurrent::settle::settle;
+use lipstream::kinds::recurrent::step::Net;
+use lipstream::synthetic::{self, Sizes};
+use lipstream_core::hmm::converter::{Converter, Settings as ConverterSettings};
+use lipstream_core::logmath::LogProb;
+use lipstream_core::model::Model as Tables;
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_make::mge::data::{Clip, Data};
+use lipstream_make::mge::judge::{centred, judge};
+use lipstream_make::mge::pass::{Masks, Tape};
+use lipstream_make::mge::settings::Settings;
+use lipstream_make::mge::store::Store;
+use lipstream_make::mge::train::train_on;
+use ndarray::Array2;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const OUTPUTS: usize = 5;
+
+fn twin() -> Model {
+    synthetic::model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(8))
+}
+
+/// Phones in random order, five states each; sound and mouth are functions of phone and viseme with noise, and the mouth
+/// glides, so that a memory helps.
+fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
+    let mut fixed = Pcg64::seed_from_u64(21);
+    let sounds = Array2::from_shape_fn((twin.phones.len(), 13), |_| fixed.random_range(-1.5f32..1.5));
+    let looks = Array2::from_shape_fn((13, OUTPUTS), |_| fixed.random_range(-1.5f32..1.5));
+    (0..n)
+        .map(|index| {
+            let (mut x, mut states) = (Vec::new(), Vec::new());
+            let mut mouth = Vec::new();
+            let mut now = [0.0f32; OUTPUTS];
+            for _ in 0..8 {
+                let phone = rng.random_range(0..twin.phones.len());
+                let viseme = usize::from(twin.phones[phone].viseme().0);
+                for state in 0..N_EMITTING {
+                    for _ in 0..rng.random_range(1..4) {
+                        states.push((N_EMITTING * phone + state, N_EMITTING * viseme + state));
+                        x.extend((0..13).map(|d| sounds[[phone, d]] + rng.random_range(-0.5f32..0.5)));
+                        for (d, value) in now.iter_mut().enumerate() {
+                            *value += 0.4 * (looks[[viseme, d]] - *value);
+                            mouth.push(*value + rng.random_range(-0.05f32..0.05));
+                        }
+                    }
+                }
+            }
+            let frames = states.len();
+            Clip {
+                id: format!("clip{index}"),
+                x: Array2::from_shape_vec((frames, 13), x).unwrap(),
+                mouth: video.then(|| Array2::from_shape_vec((frames, OUTPUTS), mouth).unwrap()),
+                states,
+                variants: Vec::new(),
+            }
+        })
+        .collect()
+}
+
+fn data(twin: &Model) -> Data {
+    let mut rng = Pcg64::seed_from_u64(4);
+    Data {
+        train: stored(clips(twin, 24, true, &mut rng)),
+        heard: stored(clips(twin, 6, false, &mut rng)),
+        validation: stored(clips(twin, 6, true, &mut rng)),
+        scale: vec![0.5; 13],
+        deviation: (0..OUTPUTS).map(|d| 10.0 / (d + 1) as f32).collect(),
+    }
+}
+
+fn stored(clips: Vec<Clip>) -> Store {
+    let mut store = Store::new(None).unwrap();
+    clips.iter().for_each(|clip| store.push(clip).unwrap());
+    store
+}
+
+fn every(clips: &Store) -> impl Iterator<Item = Clip> {
+    (0..clips.len()).map(|n| clips.get(n).unwrap())
+}
+
+fn small() -> Settings {
+    let mut settings = Settings {
+        inputs: 16,
+        memory: 12,
+        passes: 8,
+        batch: 6,
+        crop: 40,
+        ..Settings::default()
+    };
+    settings.rule.rate = 0.02;
+    settings
+}
+
+fn quietly(data: &Data, twin: &Model, settings: &Settings, checkpoint: Option<&Path>) -> MgeModel {
+    train_on(data, twin, settings, checkpoint, &|_| ()).unwrap()
+}
+
+#[test]
+fn a_made_up_talker_is_learnt() {
+    let twin = twin();
+    let data = data(&twin);
+    for feedback in [Feedback::Output, Feedback::None] {
+        let settings = Settings { feedback, ..small() };
+        let model = quietly(&data, &twin, &settings, None);
+        let seen = judge(
+            &model.parameters,
+            &model.chain(),
+            &model.context_mean,
+            &model.deviation,
+            &data.validation,
+            8,
+            model.least,
+        )
+        .unwrap();
+        let acc = seen.score.acc();
+        assert!(
+            acc > 0.8,
+            "{feedback:?}: ACC {acc} on clips that were not trained on"
+        );
+        assert!(
+            seen.share(seen.visemes) > 0.7,
+            "{feedback:?}: visemes {}",
+            seen.share(seen.visemes)
+        );
+    }
+}
+
+#[test]
+fn threads_do_not_change_a_byte() {
+    let scratch = tempfile::tempdir().unwrap();
+    let twin = twin();
+    let data = data(&twin);
+    let settings = Settings { passes: 2, ..small() };
+    let bytes = |threads: usize| {
+        let path = scratch.path().join(format!("{threads}.safetensors"));
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| quietly(&data, &twin, &settings, None))
+            .write(&path)
+            .unwrap();
+        std::fs::read(path).unwrap()
+    };
+    let one = bytes(1);
+    assert!(one == bytes(3));
+    assert!(one == bytes(1));
+}
+
+#[test]
+fn an_interrupted_run_goes_on_to_the_same_model() {
+    let scratch = tempfile::tempdir().unwrap();
+    let (checkpoint, early) = (
+        scratch.path().join("m.checkpoint"),
+        scratch.path().join("early.checkpoint"),
+    );
+    let twin = twin();
+    let data = data(&twin);
+    let settings = Settings { passes: 4, ..small() };
+    let whole = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+        // What a run that is killed in its third pass leaves behind.
+        if line.starts_with("pass 3/") {
+            std::fs::copy(&checkpoint, &early).unwrap();
+        }
+    })
+    .unwrap();
+    std::fs::copy(&early, &checkpoint).unwrap();
+    let went_on = std::cell::Cell::new(false);
+    let again = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+        if line.starts_with("going on after step 8") {
+            went_on.set(true);
+        }
+    })
+    .unwrap();
+    assert!(went_on.get());
+    assert!(whole == again);
+
+    let other = Settings { seed: 2, ..settings };
+    let error = train_on(&data, &twin, &other, Some(&checkpoint), &|_| ()).unwrap_err();
+    assert!(error.to_string().contains("other settings"), "{error:#}");
+}
+
+#[test]
+fn an_extreme_rate_is_one_clear_error() {
+    let twin = twin();
+    let data = data(&twin);
+    for rate in [1e4, 1e30] {
+        let mut settings = small();
+        settings.rule.rate = rate;
+        let error = train_on(&data, &twin, &settings, None, &|_| ()).unwrap_err();
+        let text = error.to_string();
+        assert!(
+            text.contains("diverged") && text.contains("learning rate"),
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn streamed_frame_by_frame_as_in_batches() {
+    let twin = twin();
+    let data = data(&twin);
+    for (feedback, maps, rates) in [
+        (Feedback::Output, Gate::Both, Gate::Visual),
+        (Feedback::Memory, Gate::Audio, Gate::Audio),
+        (Feedback::None, Gate::Visual, Gate::Visual),
+    ] {
+        let settings = Settings {
+            feedback,
+            maps,
+            rates,
+            passes: 2,
+            ..small()
+        };
+        let model = quietly(&data, &twin, &settings, None);
+        let net = Net::new(&model.parameters, &model.chain(), model.least);
+        for (clip, ahead) in every(&data.validation).flat_map(|c| [8, 3, 0].map(|ahead| (c.clone(), ahead))) {
+            let frames = clip.x.nrows();
+            let context = model
+                .parameters
+                .shape
+                .context
+                .stack_within(&clip.x, frames, ahead);
+            let tape = Tape::forward(&net, centred(&context, &model.context_mean), Masks::default());
+            let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
+            let said = live::convert_within(&model, raw.view(), ahead);
+            assert_eq!(said.parameters.dim(), (frames, OUTPUTS));
+            for t in 0..frames {
+                for (d, deviation) in model.deviation.iter().enumerate() {
+                    let batch = tape.output[[t, d]] * deviation;
+                    assert!((said.parameters[[t, d]] - batch).abs() < 2e-3 * deviation.max(1.0));
+                }
+                for v in 0..VISUAL {
+                    assert!((said.visual[[t, v]] - tape.visual[[t, v]]).abs() < 1e-3);
+                }
+                assert!((said.visemes.row(t).sum() - 1.0).abs() < 1e-4);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_gives_the_model_back() {
+    let scratch = tempfile::tempdir().unwrap();
+    let path = scratch.path().join("m.safetensors");
+    let twin = twin();
+    let data = data(&twin);
+    let model = quietly(&data, &twin, &Settings { passes: 1, ..small() }, None);
+    model.write(&path).unwrap();
+    let back = MgeModel::read(&path).unwrap();
+    assert!(back.twin == model.twin);
+    for group in GROUPS {
+        if !matches!(
+            group,
+            lipstream::kinds::recurrent::parameters::Group::Transition
+                | lipstream::kinds::recurrent::parameters::Group::Initial
+        ) {
+            assert!(
+                back.parameters.of(group) == model.parameters.of(group),
+                "{}",
+                group.name()
+            );
+        }
+    }
+    let clip = data.validation.get(0).unwrap();
+    let x = clip.x.view();
+    let (a, b) = (live::convert(&model, x), live::convert(&back, x));
+    let largest = (&a.parameters - &b.parameters).fold(0.0f32, |m, d| m.max(d.abs()));
+    assert!(largest < 1e-2, "{largest}");
+
+    // Either reader refuses the other's file in words.
+    let error = Model::read(&path).unwrap_err().to_string();
+    assert!(error.contains("kind"), "{error}");
+    let likely = scratch.path().join("l.safetensors");
+    twin.write(&likely).unwrap();
+    let error = MgeModel::read(&likely).unwrap_err().to_string();
+    assert!(error.contains("--train mge"), "{error}");
+
+    // A file cut short, and one with a tensor of another shape.
+    let bytes = std::fs::read(&path).unwrap();
+    std::fs::write(&likely, &bytes[..bytes.len() / 2]).unwrap();
+    assert!(MgeModel::read(&likely).is_err());
+    let mut wrong = model.clone();
+    wrong.context_mean.pop();
+    wrong.write(&likely).unwrap();
+    let error = format!("{:#}", MgeModel::read(&likely).unwrap_err());
+    assert!(error.contains("mge.context_mean"), "{error}");
+}
+
+/// The device's arithmetic on whole LSBs of Q7.8, to the end of the sound.
+fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16, settles: bool) -> Vec<ParameterFrame> {
+    let tables = Tables::new_checked(tables).unwrap();
+    // Without beam and bound: what is compared is the arithmetic.
+    let settings = ConverterSettings {
+        beam: Some(LogProb::from_q12(60 << 12)),
+        most: Some(384),
+        look_ahead: Some(look_ahead),
+        settle: Some(settles),
+        ..ConverterSettings::default()
+    };
+    let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
+    let mut out = Vec::new();
+    for row in statics.rows() {
+        let row: [i16; 13] = std::array::from_fn(|i| row[i]);
+        out.extend(converter.push(Some(&row), None));
+    }
+    while !converter.is_done() {
+        out.extend(converter.push(None, None));
+    }
+    out
+}
+
+#[test]
+fn fixed_point_follows_the_floats() {
+    let twin = twin();
+    let data = data(&twin);
+    for (feedback, maps, rates) in [
+        (Feedback::Output, Gate::Both, Gate::Visual),
+        (Feedback::Output, Gate::Audio, Gate::Audio),
+        (Feedback::None, Gate::Visual, Gate::Visual),
+    ] {
+        let settings = Settings {
+            feedback,
+            maps,
+            rates,
+            ..small()
+        };
+        let model = quietly(&data, &twin, &settings, None);
+        let tables = export_mge(&model, &MgeSettings::default()).unwrap().bytes;
+        let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+        for clip in every(&data.validation) {
+            let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
+            let heard = raw.mapv(|v| (v * 256.0).round() as i16);
+            // The whole clip, and sounds shorter than the look-ahead.
+            for (length, ahead, settles) in [
+                (heard.nrows(), 8, false),
+                (heard.nrows(), 8, true),
+                (heard.nrows(), 3, false),
+                (1, 8, true),
+                (2, 3, false),
+                (8, 8, true),
+                (9, 6, false),
+                (30, 8, true),
+            ] {
+                let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
+                let statics = heard.mapv(|v| f32::from(v) / 256.0);
+                let mut floats = live::convert_within(&model, statics.view(), ahead);
+                if settles {
+                    settle(&mut floats.parameters, &model.deviation);
+                }
+                let said = fixed(&tables, &heard, ahead as u16, settles);
+                assert_eq!(said.len(), length);
+                for (t, frame) in said.iter().enumerate() {
+                    assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));
+                    for d in 0..OUTPUTS {
+                        let fixed = f64::from(frame.values[d]) / 1024.0;
+                        let float = f64::from(floats.parameters[[t, d]] / model.deviation[d]);
+                        error += (fixed - float).powi(2);
+                        power += float.powi(2);
+                    }
+                    for (v, weight) in frame.viseme_weights.iter().enumerate() {
+                        visemes += (f64::from(*weight) / 255.0 - f64::from(floats.visemes[[t, v]])).powi(2);
+                    }
+                    frames += 1.0;
+                }
+            }
+        }
+        let (relative, visemes) = ((error / power).sqrt(), (visemes / frames).sqrt());
+        println!("{feedback:?} {maps:?} {rates:?}: {relative:.4} of the mouth, visemes {visemes:.4}");
+        assert!(relative < 0.02, "{feedback:?} {maps:?} {rates:?}: {relative}");
+        assert!(visemes < 0.03, "{feedback:?} {maps:?} {rates:?}: {visemes}");
+    }
+}

@@ -1,0 +1,139 @@
+//! The lip gap measured by colour against landmarks of another program, on GRID videos. Needs LIPSTREAM_RESEARCH and
+//! `ffmpeg`.
+use std::collections::HashMap;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use lipstream_make::corpus::{self, Settings};
+use lipstream_make::evaluate::closure::Gaps;
+use lipstream_make::evaluate::gap::Lips;
+use lipstream_make::features::{FeatureFolder, Split, read_mouths};
+use ndarray::{Array4, Axis, s};
+use ndarray_npy::ReadNpyExt;
+
+/// One array of an `.npz`.
+fn member(npz: &Path, name: &str) -> Vec<u8> {
+    let file = std::fs::File::open(npz).unwrap_or_else(|e| panic!("{}: {e}", npz.display()));
+    let mut archive = zip::ZipArchive::new(file).unwrap();
+    let mut bytes = Vec::new();
+    archive.by_name(name).unwrap().read_to_end(&mut bytes).unwrap();
+    bytes
+}
+
+/// Strings of a `<U6` array.
+fn names(npy: &[u8]) -> Vec<String> {
+    let header = usize::from(u16::from_le_bytes([npy[8], npy[9]])) + 10;
+    assert!(npy[..header].windows(3).any(|w| w == b"<U6"));
+    let letters = |word: &[u8]| {
+        let codes = word.chunks(4).map(|c| u32::from_le_bytes(c.try_into().unwrap()));
+        codes
+            .filter(|c| *c != 0)
+            .map(|c| char::from_u32(c).unwrap())
+            .collect()
+    };
+    npy[header..].chunks(24).map(letters).collect()
+}
+
+/// Gap between the inner lips in pixels of the video for each picture; NaN where there is no face.
+fn landmark_gaps(npz: &Path) -> HashMap<String, Vec<f32>> {
+    let points = Array4::<i16>::read_npy(&member(npz, "points_x32.npy")[..]).unwrap();
+    // The inner lips are points 20..36: 0 and 7 the corners, 2..5 above and 10..13 below the middle.
+    let mean = |lips: ndarray::ArrayView1<i16>| {
+        if lips.iter().any(|y| *y == i16::MIN) {
+            return f32::NAN;
+        }
+        lips.iter().map(|y| f32::from(*y) / 32.0).sum::<f32>() / lips.len() as f32
+    };
+    names(&member(npz, "clips.npy"))
+        .into_iter()
+        .zip(points.outer_iter())
+        .map(|(name, clip)| {
+            let gaps = clip
+                .outer_iter()
+                .map(|face| mean(face.slice(s![30..33, 1])) - mean(face.slice(s![22..25, 1])));
+            (name, gaps.collect())
+        })
+        .collect()
+}
+
+fn correlation(pairs: &[(f32, f32)]) -> f64 {
+    let n = pairs.len() as f64;
+    let mean = |f: fn(&(f32, f32)) -> f32| pairs.iter().map(|p| f64::from(f(p))).sum::<f64>() / n;
+    let (a, b) = (mean(|p| p.0), mean(|p| p.1));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| {
+        pairs
+            .iter()
+            .map(|p| f(f64::from(p.0) - a, f64::from(p.1) - b))
+            .sum::<f64>()
+    };
+    sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
+}
+
+/// Precision and recall of "closed" against landmarks less than a pixel apart.
+fn closed(pairs: &[(f32, f32)], below: f32) -> (f64, f64) {
+    let count =
+        |f: &dyn Fn(bool, bool) -> bool| pairs.iter().filter(|p| f(p.0 < below, p.1 < 1.0)).count() as f64;
+    let both = count(&|x, y| x && y);
+    (both / count(&|x, _| x), both / count(&|_, y| y))
+}
+
+#[test]
+fn colour_agrees_with_landmarks() {
+    let Some(shared) = std::env::var_os("LIPSTREAM_RESEARCH").map(PathBuf::from) else {
+        println!("skipped: LIPSTREAM_RESEARCH is not set");
+        return;
+    };
+    let grid = shared.join("data/grid-s1");
+    let folder = tempfile::tempdir().unwrap();
+    let corpus_path = folder.path().join("grid");
+    for (split, count) in [("train", 10), ("test", 4)] {
+        let mut stems: Vec<String> = std::fs::read_dir(grid.join(split))
+            .unwrap()
+            .filter_map(|e| e.unwrap().file_name().into_string().ok())
+            .filter_map(|n| n.strip_suffix(".mpg").map(str::to_owned))
+            .collect();
+        stems.sort();
+        std::fs::create_dir_all(corpus_path.join(split)).unwrap();
+        let step = stems.len() / count;
+        for stem in stems.iter().step_by(step).take(count) {
+            for file in [format!("{stem}.mpg"), format!("{stem}.align")] {
+                std::fs::copy(grid.join(split).join(&file), corpus_path.join(split).join(&file)).unwrap();
+            }
+        }
+    }
+    let settings = Settings {
+        corpus: corpus_path,
+        out: folder.path().join("features"),
+        ..Default::default()
+    };
+    corpus::prepare(&settings, &()).unwrap();
+    let features = FeatureFolder::open(&settings.out).unwrap();
+    let landmarks = landmark_gaps(&grid.join("landmarks.npz"));
+    let images = |split: Split| -> Vec<(String, Array4<u8>)> {
+        let clips = features.split(split);
+        clips
+            .map(|c| (c.id.clone(), read_mouths(&features.mouths_path(&c.id)).unwrap()))
+            .collect()
+    };
+    let train = images(Split::Train);
+    let views: Vec<_> = train.iter().map(|(_, i)| i.slice(s![..;3, .., .., ..])).collect();
+    let lips = Lips::learn(ndarray::concatenate(Axis(0), &views).unwrap().view()).unwrap();
+    let gaps = Gaps::learn(&features).unwrap();
+
+    let (mut measured, mut read) = (Vec::new(), Vec::new());
+    for ((id, images), clip) in images(Split::Test).iter().zip(features.split(Split::Test)) {
+        let real = &landmarks[id];
+        let pair = |own: Vec<f32>| {
+            let pairs = own.into_iter().zip(real.iter().copied());
+            pairs.filter(|p| p.1.is_finite()).collect::<Vec<_>>()
+        };
+        measured.extend(pair(lips.gaps(images.view()).unwrap()));
+        read.extend(pair(gaps.read_out(features.visual(clip).unwrap().view())));
+    }
+    assert!(measured.len() > 250);
+    for (what, pairs, least) in [("images", &measured, 0.94), ("eigenmouth weights", &read, 0.92)] {
+        let (r, (precision, recall)) = (correlation(pairs), closed(pairs, lips.closed_below()));
+        println!("{what}: correlation {r:.3}, closed frames: precision {precision:.3}, recall {recall:.3}");
+        assert!(r > least && precision > 0.85 && recall > 0.8, "{what}");
+    }
+}

@@ -1,0 +1,104 @@
+//! Sound for the video: AAC-LC access units (ISO/IEC 14496-3) without a container.
+use anyhow::{Context as _, Result};
+
+/// Samples of one access unit.
+pub const FRAME_SAMPLES: u32 = 1024;
+/// Bits a second: at 16 kHz mono the decoded speech is 30 dB and more above its error (docs/rendering.md).
+const BITRATE: u32 = 64_000;
+
+/// One mono sound track.
+#[derive(Clone, Debug)]
+pub struct Sound {
+    pub rate_hz: u32,
+    /// AudioSpecificConfig, for the container's header.
+    pub config: Vec<u8>,
+    pub units: Vec<Vec<u8>>,
+    /// Samples that a decoder yields before the first real one.
+    pub priming: u32,
+    /// Real samples.
+    pub samples: u64,
+}
+
+/// Encodes mono samples.
+pub fn encode(samples: &[i16], rate_hz: u32) -> Result<Sound> {
+    let mut options = syom::EncodeOptions::raw();
+    options.bitrate_bps = BITRATE;
+    options.band_refine = true;
+    options.lookahead = true;
+    let mut encoder = syom::Encoder::new(rate_hz, 1, &options).context("the sound encoder refuses")?;
+    let plane: Vec<f32> = samples.iter().map(|&s| f32::from(s) / 32768.0).collect();
+    let mut units = Vec::new();
+    encoder
+        .feed(&[&plane], |unit| {
+            units.push(unit.payload.to_vec());
+            Ok(())
+        })
+        .context("cannot encode the sound")?;
+    let info = encoder
+        .finish(|unit| {
+            units.push(unit.payload.to_vec());
+            Ok(())
+        })
+        .context("cannot encode the sound")?;
+    Ok(Sound {
+        rate_hz,
+        config: encoder.asc().to_vec(),
+        units,
+        priming: info.priming as u32,
+        samples: samples.len() as u64,
+    })
+}
+
+/// ADTS header of one mono 16 kHz AAC-LC unit (ISO/IEC 13818-7).
+pub fn adts_header(payload: usize) -> [u8; 7] {
+    let length = payload + 7;
+    let rate_index = 8;
+    [
+        0xff,
+        0xf1,
+        (1 << 6) | (rate_index << 2),
+        (1 << 6) | (length >> 11) as u8,
+        (length >> 3) as u8,
+        ((length & 7) << 5) as u8 | 0x1f,
+        0xfc,
+    ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tone_comes_back_at_its_place() {
+        // A burst of 440 Hz from sample 8000 to 12000: what is decoded must start and stop there.
+        let tone: Vec<i16> = (0..20_000)
+            .map(|i| {
+                let inside = (8000..12_000).contains(&i);
+                let phase = i as f32 * 440.0 * std::f32::consts::TAU / 16_000.0;
+                if inside {
+                    (phase.sin() * 12_000.0) as i16
+                } else {
+                    0
+                }
+            })
+            .collect();
+        let sound = encode(&tone, 16_000).unwrap();
+        let covered = sound.units.len() as u64 * u64::from(FRAME_SAMPLES);
+        assert!(covered >= u64::from(sound.priming) + sound.samples);
+
+        let mut adts = Vec::new();
+        for unit in &sound.units {
+            adts.extend(adts_header(unit.len()));
+            adts.extend(unit);
+        }
+        let back = syom::decode_with(&adts, &syom::DecodeOptions::unbounded()).unwrap();
+        let (mut error, mut power) = (0.0f64, 0.0f64);
+        for (i, &s) in tone.iter().enumerate() {
+            let want = f64::from(s) / 32768.0;
+            let have = f64::from(back.channels[0][i + sound.priming as usize]);
+            error += (want - have).powi(2);
+            power += want * want;
+        }
+        assert!(10.0 * (power / error).log10() > 25.0, "{power} {error}");
+    }
+}

@@ -1,0 +1,405 @@
+//! Pictures and sound of a video file, through the `ffmpeg` and `ffprobe` programs.
+//!
+//! Both are laid on one clock that starts with the file: the pictures at a constant rate, the sound padded or trimmed at
+//! its start, so that a stream that begins late stays in step with the other.
+use std::io::{BufReader, Read};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, Result, anyhow, bail};
+use serde::Deserialize;
+
+/// Pictures higher than this are scaled down while decoding: a mouth is never kept larger than that needs.
+pub const MAX_LINES: usize = 576;
+/// A clip is one utterance. Beyond this size its pictures do not fit in memory side by side with others.
+const MAX_BYTES: usize = 4 << 30;
+const GET_FFMPEG: &str = "lipstream reads video through it: install it (Debian, Ubuntu: `apt install ffmpeg`; Fedora: \
+     `dnf install ffmpeg-free`; macOS: `brew install ffmpeg`; Windows: `winget install ffmpeg`)";
+
+/// The pictures of one clip.
+#[derive(Clone, Debug)]
+pub struct Frames {
+    pub width: usize,
+    pub height: usize,
+    /// Pictures a second.
+    pub rate_hz: f32,
+    /// `[n, height, width, 3]`, R, G, B in 0..=255.
+    pub rgb: Vec<u8>,
+}
+
+impl Frames {
+    /// Number of pictures.
+    pub fn len(&self) -> usize {
+        self.rgb.len() / self.stride().max(1)
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Picture `index`, `[height, width, 3]`.
+    pub fn frame(&self, index: usize) -> &[u8] {
+        &self.rgb[index * self.stride()..][..self.stride()]
+    }
+
+    /// Every `step`-th picture: enough to learn a face from, in a fraction of the memory.
+    pub fn thinned(&self, step: usize) -> Frames {
+        let step = step.max(1);
+        Frames {
+            width: self.width,
+            height: self.height,
+            rate_hz: self.rate_hz / step as f32,
+            rgb: (0..self.len())
+                .step_by(step)
+                .flat_map(|i| self.frame(i))
+                .copied()
+                .collect(),
+        }
+    }
+
+    fn stride(&self) -> usize {
+        self.width * self.height * 3
+    }
+}
+
+/// All pictures of a video at its own rate, upright, square pixels, at most [`MAX_LINES`] lines.
+pub fn decode(path: &Path) -> Result<Frames> {
+    let rate = picture_rate(path)?;
+    let filter = format!(
+        "fps={rate}:start_time=0,scale=w='trunc(iw*sar*min(1,{MAX_LINES}/ih)/2+0.5)*2':h='min(ih,{MAX_LINES})',setsar=1"
+    );
+    let mut child = program("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(as_input(path))
+        .args(["-map", "0:v:0", "-an", "-sn", "-vf", &filter])
+        .args([
+            "-sws_flags",
+            "area+accurate_rnd+full_chroma_int",
+            "-f",
+            "image2pipe",
+            "-c:v",
+            "ppm",
+            "-",
+        ])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .map_err(|e| not_started("ffmpeg", e))?;
+    let (out, mut err) = (
+        child.stdout.take().expect("piped"),
+        child.stderr.take().expect("piped"),
+    );
+    // Read aside: a full pipe of messages would stop ffmpeg while we wait for pictures.
+    let messages = std::thread::spawn(move || {
+        let mut text = Vec::new();
+        // Lost messages only make an error less talkative.
+        let _ = err.read_to_end(&mut text);
+        text
+    });
+    let pictures = read_pictures(&mut BufReader::with_capacity(1 << 20, out));
+    if pictures.is_err() {
+        let _ = child.kill();
+    }
+    let status = child.wait()?;
+    let messages = messages.join().unwrap_or_default();
+    let (width, height, rgb) = pictures.with_context(|| format!("cannot decode {}", path.display()))?;
+    if !status.success() || rgb.is_empty() {
+        bail!(
+            "ffmpeg cannot decode {}: {}",
+            path.display(),
+            last_line(&messages)
+        );
+    }
+    let rate_hz =
+        ratio(&rate).ok_or_else(|| anyhow!("{}: ffprobe calls its picture rate {rate:?}", path.display()))?;
+    Ok(Frames {
+        width,
+        height,
+        rate_hz,
+        rgb,
+    })
+}
+
+/// The sound of a video, or of any sound file, as a WAV file in memory: 16 bit, its own rate and channels.
+pub fn decode_sound(path: &Path) -> Result<Vec<u8>> {
+    let out = program("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(as_input(path))
+        .args([
+            "-map",
+            "0:a:0",
+            "-vn",
+            "-sn",
+            "-map_metadata",
+            "-1",
+            "-fflags",
+            "+bitexact",
+        ])
+        .args([
+            "-af",
+            "aresample=async=1:first_pts=0",
+            "-c:a",
+            "pcm_s16le",
+            "-f",
+            "wav",
+            "-",
+        ])
+        .output()
+        .map_err(|e| not_started("ffmpeg", e))?;
+    if !out.status.success() {
+        bail!(
+            "ffmpeg finds no sound in {}: {}",
+            path.display(),
+            last_line(&out.stderr)
+        );
+    }
+    let mut wav = out.stdout;
+    state_lengths(&mut wav).with_context(|| format!("the sound of {}", path.display()))?;
+    Ok(wav)
+}
+
+/// Writes the true lengths into a WAV header that was written to a pipe.
+fn state_lengths(wav: &mut [u8]) -> Result<()> {
+    let too_long = || anyhow!("longer than a WAV file can be");
+    let riff = u32::try_from(wav.len().saturating_sub(8)).map_err(|_| too_long())?;
+    if wav.len() < 12 || &wav[..4] != b"RIFF" || &wav[8..12] != b"WAVE" {
+        bail!("ffmpeg wrote no WAV file");
+    }
+    wav[4..8].copy_from_slice(&riff.to_le_bytes());
+    let mut at = 12;
+    while at + 8 <= wav.len() {
+        let size = u32::from_le_bytes([wav[at + 4], wav[at + 5], wav[at + 6], wav[at + 7]]) as usize;
+        if &wav[at..at + 4] == b"data" {
+            let true_size = u32::try_from(wav.len() - at - 8).map_err(|_| too_long())?;
+            wav[at + 4..at + 8].copy_from_slice(&true_size.to_le_bytes());
+            return Ok(());
+        }
+        at += 8 + size + size % 2;
+    }
+    bail!("ffmpeg wrote a WAV file without samples")
+}
+
+#[derive(Deserialize)]
+struct Probe {
+    #[serde(default)]
+    streams: Vec<ProbeStream>,
+}
+
+#[derive(Deserialize)]
+struct ProbeStream {
+    r_frame_rate: String,
+    avg_frame_rate: String,
+}
+
+/// The picture rate as ffmpeg writes it, `25/1`.
+fn picture_rate(path: &Path) -> Result<String> {
+    if !path.is_file() {
+        bail!("{}: no such file", path.display());
+    }
+    let out = program("ffprobe")
+        .args([
+            "-v",
+            "error",
+            "-select_streams",
+            "v:0",
+            "-of",
+            "json",
+            "-show_entries",
+        ])
+        .arg("stream=r_frame_rate,avg_frame_rate")
+        .arg(as_input(path))
+        .output()
+        .map_err(|e| not_started("ffprobe", e))?;
+    if !out.status.success() {
+        bail!(
+            "ffprobe cannot read {}: {}",
+            path.display(),
+            last_line(&out.stderr)
+        );
+    }
+    let probe: Probe = serde_json::from_slice(&out.stdout)
+        .with_context(|| format!("{}: ffprobe's answer is not understood", path.display()))?;
+    let Some(stream) = probe.streams.into_iter().next() else {
+        bail!("{}: there is no video in it", path.display());
+    };
+    // The nominal rate, unless it is only the clock of a video of varying rate.
+    match (ratio(&stream.r_frame_rate), ratio(&stream.avg_frame_rate)) {
+        (Some(nominal), Some(average)) if nominal > 1.05 * average => Ok(stream.avg_frame_rate),
+        (Some(_), _) => Ok(stream.r_frame_rate),
+        (None, Some(_)) => Ok(stream.avg_frame_rate),
+        (None, None) => bail!("{}: the video has no picture rate", path.display()),
+    }
+}
+
+/// `25/1` as 25; nothing for 0/0, negative or absurd rates.
+fn ratio(text: &str) -> Option<f32> {
+    let (up, down) = text.split_once('/')?;
+    let rate = up.parse::<f32>().ok()? / down.parse::<f32>().ok()?;
+    (1.0..=1000.0).contains(&rate).then_some(rate)
+}
+
+/// Width, height and all pictures of a stream of binary PPM pictures of one size.
+fn read_pictures(from: &mut impl Read) -> Result<(usize, usize, Vec<u8>)> {
+    let mut rgb: Vec<u8> = Vec::new();
+    let mut size = None;
+    while let Some((width, height)) = read_ppm_header(from)? {
+        let (width0, height0) = *size.get_or_insert((width, height));
+        if (width, height) != (width0, height0) {
+            bail!("the picture changes size from {width0}×{height0} to {width}×{height}");
+        }
+        let start = rgb.len();
+        let end = start + width * height * 3;
+        if end > MAX_BYTES {
+            bail!(
+                "longer than {} pictures of {width}×{height}: cut it into utterances of some seconds",
+                MAX_BYTES / (width * height * 3)
+            );
+        }
+        rgb.resize(end, 0);
+        from.read_exact(&mut rgb[start..])
+            .context("the last picture is cut off")?;
+    }
+    let (width, height) = size.unwrap_or((0, 0));
+    Ok((width, height, rgb))
+}
+
+/// `P6 width height 255`; nothing at the end of the stream.
+fn read_ppm_header(from: &mut impl Read) -> Result<Option<(usize, usize)>> {
+    let mut words: Vec<String> = vec![String::new()];
+    let mut byte = [0u8];
+    while words.len() <= 4 {
+        if from.read(&mut byte)? == 0 {
+            if words.len() == 1 && words[0].is_empty() {
+                return Ok(None);
+            }
+            bail!("a picture's header is cut off");
+        }
+        let word = words.last_mut().expect("never empty");
+        if byte[0].is_ascii_whitespace() {
+            words.push(String::new());
+        } else if word.len() < 8 {
+            word.push(char::from(byte[0]));
+        } else {
+            bail!("ffmpeg wrote something that is no picture");
+        }
+    }
+    let number = |word: &str| word.parse::<usize>().ok().filter(|n| (1..=16384).contains(n));
+    match (&words[0][..], number(&words[1]), number(&words[2]), &words[3][..]) {
+        ("P6", Some(width), Some(height), "255") => Ok(Some((width, height))),
+        _ => bail!(
+            "ffmpeg wrote a picture of an unknown kind: {}",
+            words.join(" ").trim()
+        ),
+    }
+}
+
+/// Whether video can be read here at all; the error says how to get what is missing.
+pub fn available() -> Result<()> {
+    for name in ["ffmpeg", "ffprobe"] {
+        let ran = program(name)
+            .arg("-version")
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        ran.map_err(|e| not_started(name, e))?;
+    }
+    Ok(())
+}
+
+fn program(name: &str) -> Command {
+    let mut command = Command::new(name);
+    command.stdin(Stdio::null());
+    command
+}
+
+/// A file name that ffmpeg takes neither for an option nor for a protocol.
+fn as_input(path: &Path) -> std::ffi::OsString {
+    let mut name = std::ffi::OsString::from("file:");
+    name.push(path);
+    name
+}
+
+fn not_started(name: &str, error: std::io::Error) -> anyhow::Error {
+    if error.kind() == std::io::ErrorKind::NotFound {
+        anyhow!("the program `{name}` is not there; {GET_FFMPEG}")
+    } else {
+        anyhow!("cannot start `{name}`: {error}")
+    }
+}
+
+fn last_line(text: &[u8]) -> String {
+    let text = String::from_utf8_lossy(text);
+    text.lines()
+        .rfind(|l| !l.trim().is_empty())
+        .unwrap_or("it gave no reason")
+        .trim()
+        .to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_are_read_from_a_stream() {
+        let mut stream = Vec::new();
+        for value in [1u8, 2, 3] {
+            stream.extend_from_slice(b"P6\n4 2\n255\n");
+            stream.extend_from_slice(&[value; 24]);
+        }
+        let (width, height, rgb) = read_pictures(&mut &stream[..]).unwrap();
+        assert_eq!((width, height), (4, 2));
+        assert_eq!(rgb, [[1u8; 24], [2; 24], [3; 24]].concat());
+    }
+
+    #[test]
+    fn damaged_streams_are_refused_in_words() {
+        let says = |bytes: &[u8], words: &str| {
+            let text = format!("{:#}", read_pictures(&mut &bytes[..]).unwrap_err());
+            assert!(text.contains(words), "{text}");
+        };
+        says(b"P6\n4 2\n255\nabc", "cut off");
+        says(b"P6\n4 2", "cut off");
+        says(b"P5\n4 2\n255\n", "unknown kind");
+        says(b"P6\n4 99999\n255\n", "unknown kind");
+        says(b"\x00\x01\x02\x03\x04\x05\x06\x07\x08\x09", "no picture");
+        let mut two = b"P6\n1 1\n255\nabc".to_vec();
+        two.extend_from_slice(b"P6\n2 1\n255\nabcdef");
+        says(&two, "changes size");
+        assert!(read_pictures(&mut &b""[..]).unwrap().2.is_empty());
+    }
+
+    #[test]
+    fn rates_are_understood() {
+        assert_eq!(ratio("25/1"), Some(25.0));
+        assert!((ratio("30000/1001").unwrap() - 29.97).abs() < 1e-3);
+        assert_eq!(ratio("0/0"), None);
+        assert_eq!(ratio("90000/1"), None);
+        assert_eq!(ratio("25"), None);
+    }
+
+    #[test]
+    fn a_piped_wav_gets_its_true_lengths() {
+        let mut wav = b"RIFF\xff\xff\xff\xffWAVEfmt \x10\0\0\0".to_vec();
+        wav.extend_from_slice(&[0; 16]);
+        wav.extend_from_slice(b"data\xff\xff\xff\xffabcd");
+        state_lengths(&mut wav).unwrap();
+        assert_eq!(wav[4..8], (wav.len() as u32 - 8).to_le_bytes());
+        assert_eq!(wav[40..44], 4u32.to_le_bytes());
+        assert!(state_lengths(&mut b"nothing".to_vec()).is_err());
+        assert!(state_lengths(&mut b"RIFF0000WAVEjunk\xff\xff\xff\xff".to_vec()).is_err());
+    }
+
+    #[test]
+    fn thinning_keeps_every_nth() {
+        let frames = Frames {
+            width: 1,
+            height: 1,
+            rate_hz: 25.0,
+            rgb: (0..21).collect(),
+        };
+        let thin = frames.thinned(3);
+        assert_eq!(thin.rgb, [0, 1, 2, 9, 10, 11, 18, 19, 20]);
+        assert_eq!(frames.len(), 7);
+    }
+}

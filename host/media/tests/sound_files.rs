@@ -1,0 +1,318 @@
+//! Sound files of every kind and shape: what a decoder elsewhere (ffmpeg) reads from them, and what is said of broken ones.
+mod common;
+
+use std::path::Path;
+use std::process::Command;
+
+use common::refused;
+use lipstream_media::sound::{self, Sound};
+
+/// The project's own speech, 16 kHz.
+const HELLO: &[u8] = include_bytes!("../../../data/hello.wav");
+
+fn ffmpeg(folder: &Path, arguments: &[&str]) {
+    let output = Command::new("ffmpeg")
+        .current_dir(folder)
+        .args(["-nostdin", "-y", "-v", "error"])
+        .args(arguments)
+        .output()
+        .expect("ffmpeg");
+    let error = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "ffmpeg {arguments:?}: {error}");
+}
+
+/// hello.wav as another file, by ffmpeg.
+fn encoded(name: &str, options: &[&str]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("hello.wav"), HELLO).unwrap();
+    ffmpeg(folder.path(), &[&["-i", "hello.wav"], options, &[name]].concat());
+    std::fs::read(folder.path().join(name)).unwrap()
+}
+
+/// What ffmpeg decodes, as a WAV of floats whose channels and rate `audio` then treats like those of any other.
+fn decoded_by_ffmpeg(bytes: &[u8]) -> Sound {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("in"), bytes).unwrap();
+    ffmpeg(folder.path(), &["-i", "in", "-c:a", "pcm_f32le", "out.wav"]);
+    sound::read(&folder.path().join("out.wav")).unwrap()
+}
+
+/// Power of `want` over that of the difference, in decibels, where both have samples.
+fn snr_db(want: &[i16], got: &[i16]) -> f64 {
+    let (mut signal, mut noise) = (0.0, 1e-9);
+    for (&want, &got) in want.iter().zip(got) {
+        signal += f64::from(want).powi(2);
+        noise += (f64::from(want) - f64::from(got)).powi(2);
+    }
+    10.0 * f64::log10(signal / noise)
+}
+
+/// Channels of unequal loudness whose average is the sound.
+const STEREO: &str = "pan=stereo|c0=1.2*c0|c1=0.8*c0";
+const SIX: &str = "pan=5.1|c0=1.2*c0|c1=0.8*c0|c2=0.5*c0|c3=1.5*c0|c4=c0|c5=c0";
+
+/// Name, ffmpeg's options, channels, and the least distance from the original sound in decibels.
+const FILES: [(&str, &[&str], usize, f64); 18] = [
+    ("16.flac", &[], 1, 140.0),
+    (
+        "24.flac",
+        &["-sample_fmt", "s32", "-bits_per_raw_sample", "24"],
+        1,
+        90.0,
+    ),
+    ("8k.flac", &["-ar", "8000"], 1, 8.0),
+    ("44k.flac", &["-ar", "44100", "-af", STEREO], 2, 40.0),
+    ("48k-six.flac", &["-ar", "48000", "-af", SIX], 6, 40.0),
+    ("16.mp3", &[], 1, 14.0),
+    ("8k.mp3", &["-ar", "8000", "-b:a", "32k"], 1, 8.0),
+    ("22k.mp3", &["-ar", "22050", "-q:a", "2"], 1, 14.0),
+    (
+        "44k.mp3",
+        &["-ar", "44100", "-af", STEREO, "-b:a", "128k"],
+        2,
+        14.0,
+    ),
+    ("48k.mp3", &["-ar", "48000", "-af", STEREO, "-q:a", "0"], 2, 14.0),
+    (
+        "48k.mp2",
+        &["-ar", "48000", "-af", STEREO, "-b:a", "192k"],
+        2,
+        f64::MIN,
+    ),
+    ("16.ogg", &["-c:a", "libvorbis"], 1, 14.0),
+    ("8k.ogg", &["-ar", "8000", "-c:a", "libvorbis"], 1, 8.0),
+    (
+        "44k.ogg",
+        &["-ar", "44100", "-af", STEREO, "-c:a", "libvorbis", "-q:a", "6"],
+        2,
+        14.0,
+    ),
+    (
+        "48k.ogg",
+        &["-ar", "48000", "-af", STEREO, "-c:a", "libvorbis"],
+        2,
+        14.0,
+    ),
+    ("48k-six.wav", &["-ar", "48000", "-af", SIX], 6, 40.0),
+    ("11k.wav", &["-ar", "11025", "-c:a", "pcm_s24le"], 1, 8.0),
+    (
+        "96k.wav",
+        &["-ar", "96000", "-af", STEREO, "-c:a", "pcm_f32le"],
+        2,
+        40.0,
+    ),
+];
+
+/// Every kind of file gives what ffmpeg decodes from it (to 4 LSB: the decoders' rounding) and lies in time with
+/// the sound that it was made of; the last column of [`FILES`] is what coding and band limits leave.
+#[test]
+fn every_kind_of_file_is_read() {
+    let hello = sound::decode(HELLO).unwrap();
+    for (name, options, channels, least_db) in FILES {
+        let bytes = encoded(name, options);
+        let sound = sound::decode(&bytes).unwrap_or_else(|error| panic!("{name}: {error:#}"));
+        assert_eq!(sound.source_channels, channels, "{name}");
+        let reference = decoded_by_ffmpeg(&bytes);
+        assert_eq!(sound.source_rate_hz, reference.source_rate_hz, "{name}");
+        let worst = sound.samples.iter().zip(&reference.samples);
+        let worst = worst.map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        let original = snr_db(&hello.samples, &sound.samples);
+        println!(
+            "{name}: {} samples (ffmpeg {}, original {}), {worst} LSB from ffmpeg, {original:.1} dB from the original",
+            sound.samples.len(),
+            reference.samples.len(),
+            hello.samples.len()
+        );
+        assert!(worst <= 4, "{name}: {worst} LSB from what ffmpeg decodes");
+        assert!(original >= least_db, "{name}: {original:.1} dB from the original");
+        assert!(
+            sound.samples.len().abs_diff(reference.samples.len()) <= 1,
+            "{name}"
+        );
+    }
+}
+
+fn compressed() -> [(&'static str, Vec<u8>); 4] {
+    [
+        ("a.flac", encoded("a.flac", &[])),
+        ("a.mp3", encoded("a.mp3", &[])),
+        ("a.ogg", encoded("a.ogg", &["-c:a", "libvorbis"])),
+        ("a.wav", encoded("a.wav", &["-af", STEREO, "-bitexact"])),
+    ]
+}
+
+#[test]
+fn files_cut_short_are_refused_wherever_the_cut() {
+    for (name, bytes) in compressed() {
+        sound::decode(&bytes).unwrap();
+        let mut cuts: Vec<usize> = (1..bytes.len().min(400)).collect();
+        cuts.extend((1..100).map(|i| i * bytes.len() / 100));
+        cuts.extend((1..40).map(|i| bytes.len() - i));
+        for cut in cuts {
+            refused(&format!("{name} cut at {cut} of {}", bytes.len()), &bytes[..cut]);
+        }
+    }
+}
+
+#[test]
+fn bytes_after_the_end_are_refused() {
+    for (name, mut bytes) in compressed() {
+        bytes.extend(
+            b"and some more words that are no sound at all"
+                .iter()
+                .cycle()
+                .take(999),
+        );
+        println!("{name}: {}", refused(name, &bytes));
+    }
+}
+
+/// Whatever is done to a file, it is either read or refused in one line. Checksums catch every damaged byte of FLAC and of
+/// Vorbis; MP3 and WAV have none.
+#[test]
+fn damaged_files_are_refused_or_read_but_never_a_panic() {
+    let mut state = 1u64;
+    let mut random = |below: usize| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    for (name, bytes) in compressed() {
+        let (mut read, mut refused_count) = (0, 0);
+        for round in 0..300 {
+            let mut damaged = bytes.clone();
+            // Half of them in the headers, where most can go wrong.
+            let range = if round % 2 == 0 { bytes.len() } else { 200 };
+            for _ in 0..=random(4) {
+                damaged[random(range)] = random(256) as u8;
+            }
+            if damaged == bytes {
+                continue;
+            }
+            match sound::decode(&damaged) {
+                Ok(_) => read += 1,
+                Err(error) => {
+                    assert!(!format!("{error:#}").contains('\n'), "{name}: {error:#}");
+                    refused_count += 1;
+                }
+            }
+        }
+        println!("{name}: {read} read, {refused_count} refused");
+        assert!(refused_count > 20, "{name}");
+    }
+}
+
+#[test]
+fn other_contents_are_named() {
+    let opus = encoded("a.opus", &["-c:a", "libopus"]);
+    assert!(refused("Opus", &opus).contains("Opus"));
+    let ogg_flac = encoded("a.oga", &["-c:a", "flac"]);
+    assert!(refused("FLAC in Ogg", &ogg_flac).contains("FLAC"));
+    let aac = encoded("a.m4a", &[]);
+    assert!(refused("AAC", &aac).contains("not a WAV, FLAC, MP3 or Ogg Vorbis file"));
+    let adpcm = encoded("adpcm.wav", &["-c:a", "adpcm_ms"]);
+    assert!(refused("ADPCM", &adpcm).contains("WAV header"));
+    for (name, bytes) in [
+        ("text", "No sound, only words. ".repeat(500).into_bytes()),
+        ("zeros", vec![0; 5000]),
+        ("ID3 alone", b"ID3\x04\0\0\0\0\0\x0aabcdefghij".to_vec()),
+        ("one byte", vec![0xff]),
+    ] {
+        refused(name, &bytes);
+    }
+}
+
+/// Names say nothing: the content does.
+#[test]
+fn contents_count_and_names_do_not() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in compressed() {
+        let path = folder.path().join(format!("{name}.txt"));
+        std::fs::write(&path, &bytes).unwrap();
+        assert_eq!(sound::read(&path).unwrap(), sound::decode(&bytes).unwrap());
+    }
+}
+
+/// An ID3 tag before, and the two kinds of tags after MP3 frames are no sound.
+#[test]
+fn tags_of_mp3_files_are_passed_over() {
+    let bytes = encoded(
+        "a.mp3",
+        &[
+            "-metadata",
+            "title=Hello",
+            "-write_id3v1",
+            "1",
+            "-id3v2_version",
+            "3",
+        ],
+    );
+    assert!(bytes.starts_with(b"ID3") && bytes[bytes.len() - 128..].starts_with(b"TAG"));
+    let plain = encoded(
+        "a.mp3",
+        &["-write_id3v1", "0", "-id3v2_version", "0", "-bitexact"],
+    );
+    assert!(!plain.starts_with(b"ID3"));
+    assert_eq!(
+        sound::decode(&bytes).unwrap().samples,
+        sound::decode(&plain).unwrap().samples
+    );
+}
+
+/// Ogg pages with right checksums around damaged packets: what Vorbis itself has to withstand.
+#[test]
+fn damaged_packets_of_vorbis_are_refused_or_read_but_never_a_panic() {
+    let bytes = encoded("a.ogg", &["-c:a", "libvorbis"]);
+    let mut state = 3u64;
+    let mut random = |below: usize| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        (state >> 33) as usize % below
+    };
+    let (mut read, mut refused_count) = (0, 0);
+    for round in 0..300 {
+        let mut damaged = bytes.clone();
+        let range = if round % 2 == 0 { bytes.len() } else { 5000 };
+        for _ in 0..=random(3) {
+            damaged[random(range)] = random(256) as u8;
+        }
+        mend_checksums(&mut damaged);
+        match sound::decode(&damaged) {
+            Ok(_) => read += 1,
+            Err(error) => {
+                assert!(!format!("{error:#}").contains('\n'), "{error:#}");
+                refused_count += 1;
+            }
+        }
+    }
+    println!("{read} read, {refused_count} refused");
+    assert!(
+        read > 20 && refused_count > 20,
+        "{read} read, {refused_count} refused"
+    );
+}
+
+/// Writes the CRC of every page that can be found (polynomial 0x04c11db7, nothing reflected; RFC 3533).
+fn mend_checksums(bytes: &mut [u8]) {
+    let mut at = 0;
+    while let Some(&segments) = bytes.get(at + 26) {
+        let table = at + 27..at + 27 + usize::from(segments);
+        let Some(lengths) = bytes.get(table.clone()) else {
+            return;
+        };
+        let end = table.end + lengths.iter().map(|&s| usize::from(s)).sum::<usize>();
+        let Some(page) = bytes.get_mut(at..end) else {
+            return;
+        };
+        page[22..26].fill(0);
+        let crc = page.iter().fold(0u32, |crc, &byte| {
+            (0..8).fold(crc ^ (u32::from(byte) << 24), |crc, _| {
+                (crc << 1) ^ ((crc >> 31) * 0x04c1_1db7)
+            })
+        });
+        page[22..26].copy_from_slice(&crc.to_le_bytes());
+        at = end;
+    }
+}

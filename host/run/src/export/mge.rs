@@ -1,0 +1,356 @@
+//! Tables of a model trained on the error of its mouth: the projection in i16 (its columns are strongly correlated; in i8
+//! it costs 4 % AMSE), every other matrix in i8 with a scale a row, what the states own in i8 with a scale a state, rates
+//! as codes of [`lipstream_core::mge::rate`].
+use std::f64::consts::LOG2_E;
+
+use anyhow::{Result, bail, ensure};
+use lipstream_core::N_STATIC;
+use lipstream_core::logmath::FRACTION_BITS;
+use lipstream_core::model::field::{
+    BLOCK, Matrix, N_VISUAL_STATES, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, Section, Shape, limit, owns,
+};
+use ndarray::Array2;
+
+use super::tables::{Errors, SumRows, Tables};
+use super::{Export, ExportSettings as RunSettings};
+use crate::kinds::recurrent::model::MgeModel;
+use crate::kinds::recurrent::parameters::{Feedback, Group};
+use crate::kinds::recurrent::step::softmax;
+
+/// Run-time settings that go into the tables.
+#[derive(Clone, Copy, Debug)]
+pub struct ExportSettings {
+    /// Beam width in bits.
+    pub beam_bits: f64,
+}
+
+impl Default for ExportSettings {
+    fn default() -> Self {
+        Self { beam_bits: 11.0 }
+    }
+}
+
+/// Statics in LSBs of one: Q7.8.
+const STATIC: f64 = 256.0;
+/// z, memory and mouth in LSBs of one: Q5.10.
+const SIGNAL: f64 = (1 << SIGNAL_FRACTION_BITS) as f64;
+/// Log likelihoods in LSBs of a bit.
+const BIT: f64 = (1 << FRACTION_BITS) as f64;
+
+/// Quantises `model`.
+pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
+    let p = &model.parameters;
+    let of = &p.shape;
+    ensure!(
+        of.feedback != Feedback::Memory,
+        "the device feeds back the mouth, not the memory: train with `--feedback output`"
+    );
+    let shape = Shape {
+        phones: of.phones,
+        densities: 0,
+        taps: of.context.taps.len(),
+        inputs: of.inputs,
+        parameters: of.outputs,
+        memory: of.memory,
+        means: of.context.shifts.len(),
+        owns: [
+            (of.maps.audio(), owns::AUDIO_MAPS),
+            (of.rates.audio(), owns::AUDIO_RATES),
+            (of.maps.visual(), owns::VISUAL_MAPS),
+            (!of.rates.audio(), owns::VISUAL_RATES),
+            (of.feedback == Feedback::Output, owns::FEEDBACK),
+        ]
+        .into_iter()
+        .filter_map(|(has, bit)| has.then_some(bit))
+        .sum(),
+        visual_densities: 0,
+    };
+    let mut tables = Tables::new(
+        shape,
+        &[
+            ("phones", shape.phones, limit::PHONES),
+            ("context taps", shape.taps, limit::TAPS),
+            ("projected inputs", shape.inputs, limit::INPUTS),
+            ("visual parameters", shape.parameters, limit::PARAMETERS),
+            ("numbers in its memory", shape.memory, limit::MEMORY),
+        ],
+    )?;
+    ensure!(
+        shape.means <= limit::MEANS,
+        "the model has {} exponential means, the device takes {}",
+        shape.means,
+        limit::MEANS
+    );
+    tables.put_phones(&model.twin.phones)?;
+    tables.put_start_mean(&model.twin.start_mean);
+    let settings = RunSettings {
+        lag: 0,
+        beam_bits: with.beam_bits,
+        acoustic_scale: 1.0,
+        average: false,
+        visual_densities: false,
+    };
+    tables.put_settings(&settings, 0, 0)?;
+    let initial: Vec<f32> = softmax(p.of(Group::Initial))
+        .iter()
+        .map(|p| p.max(1e-30).ln())
+        .collect();
+    tables.put_transitions(
+        &model.twin.phones,
+        &model.transition(),
+        &model.twin.bigram,
+        &initial,
+    )?;
+    tables.put_context(model)?;
+    tables.put_matrices(model)?;
+    tables.put_gates(model)?;
+    tables.finish()
+}
+
+impl Tables {
+    /// Taps, means, and the projection z = V·scale∘(c − c̄) with its columns in the order of increasing taps.
+    fn put_context(&mut self, model: &MgeModel) -> Result<()> {
+        let of = &model.parameters.shape;
+        let mut order: Vec<usize> = (0..of.context.taps.len()).collect();
+        order.sort_by_key(|&k| of.context.taps[k]);
+        let taps: Vec<i32> = order.iter().map(|&k| of.context.taps[k]).collect();
+        self.put_taps(&taps)?;
+        let mut shifts = Vec::new();
+        for &shift in &of.context.shifts {
+            match u8::try_from(shift) {
+                Ok(shift @ 1..=limit::MEAN_SHIFT) => shifts.push(shift),
+                _ => bail!("an exponential mean of rate 2^-{shift} is outside the device's 1..=12"),
+            }
+        }
+        self.put(Section::MeanShifts, shifts, None);
+        let places: Vec<usize> = order
+            .into_iter()
+            .chain(of.context.taps.len()..of.context.taps.len() + of.context.shifts.len())
+            .flat_map(|k| k * N_STATIC..(k + 1) * N_STATIC)
+            .collect();
+        let projection = model.parameters.matrix(Group::Projection);
+        let mut rows = SumRows::new("relative to a row's largest");
+        for row in projection.rows() {
+            let weights: Vec<f64> = places
+                .iter()
+                .map(|&from| f64::from(row[from]) * f64::from(model.scale[from % N_STATIC]))
+                .collect();
+            let offset: f64 = row
+                .iter()
+                .zip(&model.context_mean)
+                .map(|(w, m)| f64::from(*w) * f64::from(*m))
+                .sum();
+            rows.push(&weights, SIGNAL / STATIC, offset * SIGNAL)?;
+        }
+        rows.store(
+            self,
+            [
+                Section::Projection,
+                Section::ProjectionShift,
+                Section::ProjectionOffset,
+            ],
+        );
+        Ok(())
+    }
+
+    fn put_matrices(&mut self, model: &MgeModel) -> Result<()> {
+        let p = &model.parameters;
+        let wide = |group: Group| p.matrix(group).mapv(f64::from);
+        let bias = |group: Group, scale: f64| -> Vec<f64> {
+            p.of(group).iter().map(|b| f64::from(*b) * scale).collect()
+        };
+        let parts = [
+            (Matrix::AUDIO, Group::Audio, Some(Group::AudioBias), LOG2_E, BIT),
+            (
+                Matrix::VISUAL,
+                Group::Visual,
+                Some(Group::VisualBias),
+                LOG2_E,
+                BIT,
+            ),
+            (Matrix::DRIVE, Group::Drive, None, 1.0, SIGNAL),
+            (
+                Matrix::OUTPUT,
+                Group::Global,
+                Some(Group::GlobalBias),
+                1.0,
+                SIGNAL,
+            ),
+            (Matrix::MEMORY, Group::Output, None, 1.0, SIGNAL),
+        ];
+        for (matrix, weights, biases, scale, out) in parts {
+            let bias = biases.map_or_else(Vec::new, |b| bias(b, scale));
+            self.put_matrix(matrix, &(wide(weights) * scale), &bias, SIGNAL, out)?;
+        }
+        Ok(())
+    }
+
+    /// y = W u + b, u in LSBs of 1/`input`, y in LSBs of 1/`output`.
+    fn put_matrix(
+        &mut self,
+        matrix: Matrix,
+        weights: &Array2<f64>,
+        bias: &[f64],
+        input: f64,
+        output: f64,
+    ) -> Result<()> {
+        let mut errors = Errors::new("relative to a row's largest");
+        let (mut codes, mut scales) = (Vec::new(), Vec::new());
+        for row in weights.rows() {
+            let largest = row.iter().fold(0f64, |m, w| m.max(w.abs()));
+            let step = largest / 127.0;
+            let scale = step * output / input * f64::from(1 << SCALE_FRACTION_BITS);
+            let most = if matrix.in_blocks {
+                limit::BLOCK_SCALE - 1
+            } else {
+                i32::MAX
+            };
+            ensure!(
+                scale.round() <= f64::from(most),
+                "a weight of {largest} in {:?} is too large for the device's tables",
+                matrix.weights
+            );
+            scales.extend((scale.round() as i32).to_le_bytes());
+            for w in row {
+                codes.push(code(*w, step, largest, &mut errors));
+            }
+        }
+        let codes = laid_out(&codes, weights.ncols(), if matrix.in_blocks { BLOCK } else { 1 });
+        self.put(matrix.weights, codes, errors.report());
+        self.put(matrix.scale, scales, None);
+        if let Some(section) = matrix.bias {
+            let mut bytes = Vec::new();
+            for b in bias {
+                let b = (b * output).round();
+                ensure!(
+                    b.abs() <= f64::from(limit::OFFSET),
+                    "a bias in {section:?} is too large for the device's tables"
+                );
+                bytes.extend((b as i32).to_le_bytes());
+            }
+            self.put(section, bytes, None);
+        }
+        Ok(())
+    }
+
+    /// What the states of both chains own.
+    fn put_gates(&mut self, model: &MgeModel) -> Result<()> {
+        let p = &model.parameters;
+        let of = &p.shape;
+        let audio = Owned {
+            maps: of.maps.audio(),
+            rates: of.rates.audio(),
+            groups: [
+                Group::AudioGain,
+                Group::AudioDrive,
+                Group::AudioOffset,
+                Group::AudioRate,
+            ],
+            sections: [Section::AudioGates, Section::AudioGateScale],
+            states: of.audio_states(),
+        };
+        let visual = Owned {
+            maps: of.maps.visual(),
+            rates: !of.rates.audio(),
+            groups: [
+                Group::VisualGain,
+                Group::VisualDrive,
+                Group::VisualOffset,
+                Group::VisualRate,
+            ],
+            sections: [Section::VisualGates, Section::VisualGateScale],
+            states: N_VISUAL_STATES,
+        };
+        for owned in [audio, visual] {
+            let mut errors = Errors::new("relative to a state's largest");
+            let (mut bytes, mut scales) = (Vec::new(), Vec::new());
+            for state in 0..owned.states {
+                for group in &owned.groups[..3] {
+                    let mut step = 0.0;
+                    if owned.maps {
+                        let row = p.row(*group, state);
+                        let largest = row.iter().fold(0f64, |m, w| m.max(f64::from(w.abs())));
+                        step = largest / 127.0;
+                        bytes.extend(
+                            row.iter()
+                                .map(|w| code(f64::from(*w), step, largest, &mut errors)),
+                        );
+                    }
+                    let scale = (step * f64::from(1 << SCALE_FRACTION_BITS)).round();
+                    ensure!(
+                        scale <= f64::from(i32::MAX),
+                        "what a state owns is too large for the device's tables"
+                    );
+                    scales.extend((scale as i32).to_le_bytes());
+                }
+                if owned.rates {
+                    let logits = p.row(owned.groups[3], state);
+                    bytes.extend(
+                        logits
+                            .iter()
+                            .map(|l| (f64::from(*l) * 16.0 + 128.0).round().clamp(0.0, 255.0) as u8),
+                    );
+                }
+            }
+            self.put(owned.sections[0], bytes, errors.report());
+            self.put(owned.sections[1], scales, None);
+        }
+        let mut errors = Errors::new("signal");
+        let first: Vec<u8> = p
+            .of(Group::FirstMemory)
+            .iter()
+            .flat_map(|h| {
+                let value = f64::from(*h) * SIGNAL;
+                let q = errors.round(value, 32767.0);
+                errors.add((q - value) / SIGNAL);
+                (q as i16).to_le_bytes()
+            })
+            .collect();
+        self.put(Section::FirstMemory, first, errors.report());
+        let scale = model
+            .deviation
+            .iter()
+            .flat_map(|d| (d / SIGNAL as f32).to_le_bytes())
+            .collect();
+        self.put(Section::ParameterScale, scale, None);
+        Ok(())
+    }
+}
+
+/// One chain's tables.
+struct Owned {
+    maps: bool,
+    rates: bool,
+    /// Gain, drive, offset, rate.
+    groups: [Group; 4],
+    sections: [Section; 2],
+    states: usize,
+}
+
+/// Codes row by row to blocks of so many rows and [`BLOCK`] columns, filled up with zeros.
+fn laid_out(codes: &[u8], columns: usize, block_rows: usize) -> Vec<u8> {
+    let rows = codes.len() / columns.max(1);
+    let mut out = Vec::new();
+    for first_row in (0..rows).step_by(block_rows) {
+        for first_column in (0..columns).step_by(BLOCK) {
+            for row in first_row..first_row + block_rows {
+                for column in first_column..first_column + BLOCK {
+                    let inside = row < rows && column < columns;
+                    let weight = if inside { codes[row * columns + column] } else { 0 };
+                    out.push(weight ^ 0x80);
+                }
+            }
+        }
+    }
+    out
+}
+
+/// `w` in steps, held to ±127.
+fn code(w: f64, step: f64, largest: f64, errors: &mut Errors) -> u8 {
+    if largest == 0.0 {
+        return 0;
+    }
+    let q = errors.round(w / step, 127.0);
+    errors.add((q * step - w) / largest);
+    q as i8 as u8
+}

@@ -1,0 +1,330 @@
+//! The float model: a coupled HMM over phones and visemes, local linear visual maps, and the mouth that it
+//! moves. What `lipstream train` writes (`.safetensors`) and `lipstream export` quantises.
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use ndarray::{Array1, Array2, Array3};
+
+pub mod convert;
+pub mod inversion;
+pub mod local_linear;
+
+use crate::hmm::joint::N_EMITTING;
+use crate::hmm::mixtures::Mixtures;
+use crate::hmm::system::{Density, System};
+use crate::mouth::MouthSpace;
+use crate::phones::Phone;
+use crate::tensors::{Tensors, TensorsBuilder};
+
+/// Version of the float model file.
+pub const MODEL_VERSION: u32 = 2;
+/// What the file's note `kind` says.
+pub const KIND: &str = "hmm";
+/// The projection of stacked statics that the local linear maps read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ContextMap {
+    /// Taps in hops relative to the frame, increasing; the last one is the look-ahead.
+    pub taps: Vec<i32>,
+    /// Mean of the stacked statics, `[taps·13]`, tap-major.
+    pub mean: Array1<f32>,
+    /// Whitened PCA, `[X, taps·13]`.
+    pub projection: Array2<f32>,
+}
+
+/// Local linear visual densities (DESIGN section 6):
+/// ôᵛ = W₀x + b₀ + Σ_v γ(v)·(W_v x + b_v).
+#[derive(Clone, Debug, PartialEq)]
+pub struct LocalLinear {
+    /// `[D, X + 1]`, the bias in the last column.
+    pub global: Array2<f32>,
+    /// `[visual states, D, X + 1]`, residual maps.
+    pub state: Array3<f32>,
+}
+
+/// How the model wants to be followed: chosen on validation data, overridable at run time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Following {
+    /// Exponent of the audio likelihood. Diagonal Gaussians over overlapping windows are overconfident at 1.
+    pub acoustic_scale: f32,
+    /// Frames after a frame that its occupancies wait for, beyond the look-ahead of ΔΔ.
+    pub lag: usize,
+}
+
+/// Which M step conversion takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MStep {
+    /// The exact one: a component counts by its occupancy.
+    Exact,
+    /// X&L eq. 9 as printed: a component counts by its occupancy times its weight.
+    Printed,
+}
+
+/// How conversion by means goes (X&L section 4): chosen on validation data.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EmSettings {
+    /// Exponent of the audio likelihood.
+    pub acoustic_scale: f32,
+    /// Exponent of the visual likelihood; 0: the mouth says nothing about the states.
+    pub visual_exponent: f32,
+    /// EM iterations after the best path's centres.
+    pub iterations: usize,
+    pub m_step: MStep,
+}
+
+impl Default for EmSettings {
+    fn default() -> Self {
+        Self {
+            acoustic_scale: 0.1,
+            visual_exponent: 0.0,
+            iterations: 1,
+            m_step: MStep::Exact,
+        }
+    }
+}
+
+/// Everything that training learns.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// What it is: which joint states exist, and how it speaks.
+    pub system: System,
+    /// Phones that the model knows, in table order; audio state = 5·(index here) + i.
+    pub phones: Vec<Phone>,
+    /// Causal normalisation: mean of the raw statics that a stream starts from, `[13]`.
+    pub start_mean: Array1<f32>,
+    pub audio: Mixtures,
+    /// One per visual state: 5·viseme + j, or 5·phone + j where both chains are over phones. In a joint density its
+    /// components belong to those of `audio`.
+    pub visual: Mixtures,
+    /// Natural log, `[phones, classes, 4]` by class and choice; 15 classes where the chains are coupled.
+    pub transition: Array3<f32>,
+    /// Natural log of P(next | phone), `[phones, phones]`.
+    pub bigram: Array2<f32>,
+    /// Natural log of P(first phone), `[phones]`.
+    pub initial: Array1<f32>,
+    pub context: ContextMap,
+    pub maps: LocalLinear,
+    pub following: Following,
+    pub conversion: EmSettings,
+    /// Absent in a model trained on plain visual numbers.
+    pub mouth: Option<MouthSpace>,
+    /// Where the model comes from: corpus, settings, date. For people.
+    pub provenance: String,
+}
+
+impl Model {
+    pub fn n_audio_states(&self) -> usize {
+        self.phones.len() * N_EMITTING
+    }
+
+    pub fn visual_size(&self) -> usize {
+        self.maps.global.nrows()
+    }
+
+    /// Future that a live mouth waits for, in ms between frame centres: the context's last tap or the lag behind ΔΔ
+    /// (whichever is later), and the frame that the 3-frame smoothing adds.
+    pub fn look_ahead_ms(&self) -> u32 {
+        const DELTA_FRAMES: usize = 4;
+        let context = self.context.taps.last().map_or(0, |t| (*t).max(0) as usize);
+        let frames = context.max(self.following.lag + DELTA_FRAMES) + 1;
+        10 * frames as u32
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let mut out = TensorsBuilder::default();
+        self.store(&mut out);
+        out.write(path)
+    }
+
+    /// Puts everything into a file that may hold more.
+    pub(crate) fn store(&self, out: &mut TensorsBuilder) {
+        out.note("kind", KIND);
+        out.note("system", self.system.name);
+        out.note("version", MODEL_VERSION);
+        out.note("provenance", &self.provenance);
+        out.note("phones", join(self.phones.iter().map(|p| p.name())));
+        out.note(
+            "context.taps",
+            join(self.context.taps.iter().map(|t| t.to_string())),
+        );
+        out.note("following.acoustic_scale", self.following.acoustic_scale);
+        out.note("following.lag", self.following.lag);
+        out.note("conversion.acoustic_scale", self.conversion.acoustic_scale);
+        out.note("conversion.visual_exponent", self.conversion.visual_exponent);
+        out.note("conversion.iterations", self.conversion.iterations);
+        out.put("start_mean", &self.start_mean);
+        for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
+            out.put(&format!("{name}.mean"), &mixtures.mean);
+            out.put(&format!("{name}.variance"), &mixtures.variance);
+            out.put(&format!("{name}.log_weight"), &mixtures.log_weight);
+        }
+        out.put("transition", &self.transition);
+        out.put("bigram", &self.bigram);
+        out.put("initial", &self.initial);
+        out.put("context.mean", &self.context.mean);
+        out.put("context.projection", &self.context.projection);
+        out.put("maps.global", &self.maps.global);
+        out.put("maps.state", &self.maps.state);
+        if let Some(mouth) = &self.mouth {
+            mouth.store(out);
+        }
+    }
+
+    pub fn read(path: &Path) -> Result<Self> {
+        let tensors = Tensors::read(path)?;
+        let kind: String = tensors
+            .noted("kind")
+            .with_context(|| format!("{} is no usable model", path.display()))?;
+        if kind != KIND {
+            bail!(
+                "{} holds a model of the kind {kind:?}; this needs {KIND:?}",
+                path.display()
+            );
+        }
+        Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
+    }
+
+    pub(crate) fn from_tensors(from: &Tensors) -> Result<Self> {
+        let version: u32 = from.noted("version")?;
+        if version != MODEL_VERSION {
+            bail!("model version {version}, this program reads {MODEL_VERSION}: train it again");
+        }
+        let name: String = from.noted("system")?;
+        let system =
+            System::from_name(&name).with_context(|| format!("it holds the unknown system {name:?}"))?;
+        let names: String = from.noted("phones")?;
+        let mut phones = Vec::new();
+        for name in names.split_whitespace() {
+            phones.push(Phone::from_name(name).with_context(|| format!("unknown phone {name:?}"))?);
+        }
+        let taps: String = from.noted("context.taps")?;
+        let taps = taps
+            .split_whitespace()
+            .map(str::parse)
+            .collect::<Result<Vec<i32>, _>>()?;
+        let mixtures = |name: &str| -> Result<Mixtures> {
+            Ok(Mixtures {
+                mean: from.array(&format!("{name}.mean"))?,
+                variance: from.array(&format!("{name}.variance"))?,
+                log_weight: from.array(&format!("{name}.log_weight"))?,
+            })
+        };
+        let model = Model {
+            system,
+            phones,
+            start_mean: from.array("start_mean")?,
+            audio: mixtures("audio")?,
+            visual: mixtures("visual")?,
+            transition: from.array("transition")?,
+            bigram: from.array("bigram")?,
+            initial: from.array("initial")?,
+            context: ContextMap {
+                taps,
+                mean: from.array("context.mean")?,
+                projection: from.array("context.projection")?,
+            },
+            maps: LocalLinear {
+                global: from.array("maps.global")?,
+                state: from.array("maps.state")?,
+            },
+            following: Following {
+                acoustic_scale: from.noted("following.acoustic_scale")?,
+                lag: from.noted("following.lag")?,
+            },
+            conversion: EmSettings {
+                acoustic_scale: from.noted("conversion.acoustic_scale")?,
+                visual_exponent: from.noted("conversion.visual_exponent")?,
+                iterations: from.noted("conversion.iterations")?,
+                m_step: MStep::Exact,
+            },
+            mouth: if from.has("mouth.mean") {
+                Some(MouthSpace::load(from)?)
+            } else {
+                None
+            },
+            provenance: from.noted("provenance")?,
+        };
+        model.check()?;
+        Ok(model)
+    }
+
+    /// Every shape fits every other, every variance is positive.
+    fn check(&self) -> Result<()> {
+        use lipstream_core::{N_OBSERVATION, N_STATIC};
+        let (p, s) = (self.phones.len(), self.n_audio_states());
+        let n_visual = self.system.topology.n_visual_states(p);
+        let (d, x) = (self.visual_size(), self.context.projection.nrows());
+        let stacked = self.context.taps.len() * N_STATIC;
+        let shapes = [
+            ("start_mean", vec![N_STATIC], self.start_mean.shape().to_vec()),
+            (
+                "audio.mean",
+                vec![s, self.audio.mean.dim().1, N_OBSERVATION],
+                self.audio.mean.shape().to_vec(),
+            ),
+            (
+                "visual.mean",
+                vec![n_visual, self.visual.mean.dim().1, d],
+                self.visual.mean.shape().to_vec(),
+            ),
+            (
+                "transition",
+                vec![p, self.system.topology.classes_per_phone(), 4],
+                self.transition.shape().to_vec(),
+            ),
+            ("bigram", vec![p, p], self.bigram.shape().to_vec()),
+            ("initial", vec![p], self.initial.shape().to_vec()),
+            ("context.mean", vec![stacked], self.context.mean.shape().to_vec()),
+            (
+                "context.projection",
+                vec![x, stacked],
+                self.context.projection.shape().to_vec(),
+            ),
+            ("maps.global", vec![d, x + 1], self.maps.global.shape().to_vec()),
+            (
+                "maps.state",
+                vec![n_visual, d, x + 1],
+                self.maps.state.shape().to_vec(),
+            ),
+        ];
+        for (name, want, have) in shapes {
+            if want != have || want.contains(&0) {
+                bail!("tensor {name} has shape {have:?}, expected {want:?}");
+            }
+        }
+        for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
+            let (states, k, _) = mixtures.mean.dim();
+            if mixtures.variance.shape() != mixtures.mean.shape() || mixtures.log_weight.dim() != (states, k)
+            {
+                bail!("the {name} mixtures' shapes do not agree");
+            }
+            if mixtures.variance.iter().any(|v| *v <= 0.0) {
+                bail!("the {name} mixtures hold a variance that is not positive");
+            }
+        }
+        if self.system.density == Density::Joint && self.audio.mean.dim().1 != self.visual.mean.dim().1 {
+            bail!("a joint density has as many components for the sound as for the mouth");
+        }
+        if self.mouth.as_ref().is_some_and(|m| m.size() != d) {
+            bail!("the mouth has another number of eigenmouths than the maps have rows");
+        }
+        for scale in [self.following.acoustic_scale, self.conversion.acoustic_scale] {
+            if !(scale > 0.0 && scale <= 1.0) {
+                bail!("the acoustic scale {scale} is not in (0, 1]");
+            }
+        }
+        if !(0.0..=1.0).contains(&self.conversion.visual_exponent) {
+            bail!(
+                "the visual exponent {} is not in [0, 1]",
+                self.conversion.visual_exponent
+            );
+        }
+        if !self.context.taps.is_sorted() {
+            bail!("the context taps are not in increasing order");
+        }
+        Ok(())
+    }
+}
+
+fn join<T: AsRef<str>>(items: impl Iterator<Item = T>) -> String {
+    items.map(|i| i.as_ref().to_owned()).collect::<Vec<_>>().join(" ")
+}

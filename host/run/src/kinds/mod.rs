@@ -1,0 +1,3 @@
+//! The kinds of models, a folder each: what their files hold and how they speak in floats.
+pub mod likelihood;
+pub mod recurrent;

@@ -1,0 +1,271 @@
+//! The model file of minimum generation error training: the trained tables beside the likelihood-trained model that
+//! they started from.
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use lipstream_core::N_STATIC;
+use ndarray::{Array1, Array2, Array3, ArrayView2};
+
+use super::chain::{Chain, VISUAL};
+use super::context::Context;
+use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
+use super::step::{log_softmax_rows, softmax};
+use crate::hmm::Hmm;
+use crate::hmm::graph::Graph;
+use crate::hmm::joint::N_TRANSITION_CLASSES;
+use crate::kinds::likelihood::Model;
+use crate::tensors::{Tensors, TensorsBuilder};
+
+/// What the file's note `kind` says.
+pub const KIND: &str = "mge ph-vi-chmm";
+/// Version of the `mge.` part of the file.
+pub const VERSION: u32 = 1;
+/// Occupancies up to this move nothing.
+pub const LEAST: f32 = 1e-4;
+
+/// A trained model, ready to convert.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MgeModel {
+    /// The likelihood-trained model: phones, bigram, start mean, mouth, and the start of training.
+    pub twin: Model,
+    pub parameters: Parameters,
+    /// c̄ `[C]`.
+    pub context_mean: Vec<f32>,
+    /// What the normalised statics are multiplied with, `[13]`.
+    pub scale: Vec<f32>,
+    /// What ŷ is multiplied with to be mouth parameters, `[D]`.
+    pub deviation: Vec<f32>,
+    /// Occupancies up to this are left out of the maps.
+    pub least: f32,
+    /// AMSE of the clips that chose the parameters, at the full look-ahead; none without such clips.
+    pub validation_amse: Option<f64>,
+    pub provenance: String,
+}
+
+impl MgeModel {
+    /// The loop over the twin's phones.
+    pub fn chain(&self) -> Chain {
+        Chain::new(&self.twin.phones, &self.twin.transition, &self.twin.bigram)
+    }
+
+    /// Natural logs of the trained transitions, `[phones, 15, 4]`.
+    pub fn transition(&self) -> Array3<f32> {
+        let logs = log_softmax_rows(self.parameters.of(Group::Transition));
+        Array3::from_shape_vec((self.twin.phones.len(), N_TRANSITION_CLASSES, 4), logs)
+            .expect("the parameters are of the twin's phones")
+    }
+
+    /// The loop over all phones as a graph, and the probability of each arc.
+    pub fn phone_loop(&self) -> (Graph, Vec<f64>) {
+        Hmm {
+            transition: &self.transition(),
+            ..Hmm::of_model(&self.twin)
+        }
+        .phone_loop()
+    }
+
+    /// Future that a live mouth waits for, in ms between frame centres.
+    pub fn look_ahead_ms(&self) -> u32 {
+        10 * self.parameters.shape.context.look_ahead() as u32
+    }
+
+    /// Whether a file holds such a model.
+    pub fn is_kind(from: &Tensors) -> bool {
+        from.noted::<String>("kind").is_ok_and(|k| k == KIND)
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let mut out = TensorsBuilder::default();
+        self.twin.store(&mut out);
+        out.note("kind", KIND);
+        out.note("provenance", &self.provenance);
+        out.note("twin.provenance", &self.twin.provenance);
+        let shape = &self.parameters.shape;
+        out.note("mge.version", VERSION);
+        out.note("mge.taps", spaced(&shape.context.taps));
+        out.note("mge.mean_shifts", spaced(&shape.context.shifts));
+        out.note("mge.feedback", feedback_name(shape.feedback));
+        out.note("mge.maps", gate_name(shape.maps));
+        out.note("mge.rates", gate_name(shape.rates));
+        out.note("mge.least", self.least);
+        if let Some(amse) = self.validation_amse {
+            out.note("mge.validation_amse", amse);
+        }
+        out.put("mge.scale", &Array1::from(self.scale.clone()));
+        out.put("mge.context_mean", &Array1::from(self.context_mean.clone()));
+        out.put("mge.deviation", &Array1::from(self.deviation.clone()));
+        for group in GROUPS {
+            let name = format!("mge.{}", group.name());
+            let (rows, columns) = group.size(shape);
+            if rows * columns == 0 {
+                continue;
+            }
+            let values = match group {
+                // The file holds log probabilities.
+                Group::Transition => log_softmax_rows(self.parameters.of(group)),
+                Group::Initial => softmax(self.parameters.of(group))
+                    .iter()
+                    .map(|p| p.max(1e-30).ln())
+                    .collect(),
+                _ => self.parameters.of(group).to_vec(),
+            };
+            if rows == 1 {
+                out.put(&name, &Array1::from(values));
+            } else {
+                let view = ArrayView2::from_shape((rows, columns), &values)?;
+                out.put(&name, &view);
+            }
+        }
+        out.write(path)
+    }
+
+    pub fn read(path: &Path) -> Result<Self> {
+        let tensors = Tensors::read(path)?;
+        if !Self::is_kind(&tensors) {
+            let kind: String = tensors.noted("kind").unwrap_or_else(|_| "unknown".into());
+            bail!(
+                "{} holds a model of the kind {kind:?}, not {KIND:?}: train one with --train mge",
+                path.display()
+            );
+        }
+        Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
+    }
+
+    pub fn from_tensors(from: &Tensors) -> Result<Self> {
+        let version: u32 = from.noted("mge.version")?;
+        if version != VERSION {
+            bail!("version {version} of the trained tables, this program reads {VERSION}: train it again");
+        }
+        let mut twin = Model::from_tensors(from)?;
+        twin.provenance = from.noted("twin.provenance")?;
+        check_twin(&twin)?;
+        let text = |key: &str| from.noted::<String>(key);
+        let context = Context {
+            taps: numbers(&text("mge.taps")?)?,
+            shifts: numbers(&text("mge.mean_shifts")?)?,
+        };
+        context.check()?;
+        let projection: Array2<f32> = from.array("mge.projection")?;
+        let drive: Array2<f32> = from.array("mge.drive")?;
+        let global: Array2<f32> = from.array("mge.global")?;
+        let shape = Shape {
+            phones: twin.phones.len(),
+            context,
+            inputs: projection.nrows(),
+            memory: drive.nrows(),
+            outputs: global.nrows(),
+            feedback: feedback_of(&text("mge.feedback")?)?,
+            maps: gate_of(&text("mge.maps")?)?,
+            rates: gate_of(&text("mge.rates")?)?,
+        };
+        if shape.rates == Gate::Both {
+            bail!("the rates belong to one chain, not to both");
+        }
+        let mut parameters = Parameters::zeros(&shape);
+        for group in GROUPS {
+            let name = format!("mge.{}", group.name());
+            let (rows, columns) = group.size(&shape);
+            if rows * columns == 0 {
+                continue;
+            }
+            let matrix: Array2<f32> = if rows == 1 {
+                from.array::<ndarray::Ix1>(&name)?.insert_axis(ndarray::Axis(0))
+            } else {
+                from.array(&name)?
+            };
+            if matrix.dim() != (rows, columns) {
+                bail!(
+                    "tensor {name} has shape {:?}, expected {:?}",
+                    matrix.dim(),
+                    (rows, columns)
+                );
+            }
+            parameters.assign(group, &matrix);
+        }
+        let model = MgeModel {
+            context_mean: from.array::<ndarray::Ix1>("mge.context_mean")?.to_vec(),
+            scale: from.array::<ndarray::Ix1>("mge.scale")?.to_vec(),
+            deviation: from.array::<ndarray::Ix1>("mge.deviation")?.to_vec(),
+            least: from.noted("mge.least")?,
+            validation_amse: from.noted("mge.validation_amse").ok(),
+            provenance: from.noted("provenance")?,
+            twin,
+            parameters,
+        };
+        let sizes = [
+            ("mge.context_mean", model.context_mean.len(), shape.context.size()),
+            ("mge.scale", model.scale.len(), N_STATIC),
+            ("mge.deviation", model.deviation.len(), shape.outputs),
+        ];
+        for (name, have, want) in sizes {
+            if have != want {
+                bail!("tensor {name} has {have} numbers, expected {want}");
+            }
+        }
+        if model
+            .twin
+            .mouth
+            .as_ref()
+            .is_some_and(|m| m.size() != shape.outputs)
+        {
+            bail!("the mouth has another number of eigenmouths than the model speaks");
+        }
+        Ok(model)
+    }
+}
+
+/// The step over the phone loop is that of coupled chains over phones and visemes.
+pub fn check_twin(twin: &Model) -> Result<()> {
+    let (_, classes, _) = twin.transition.dim();
+    let states = twin.visual.mean.dim().0;
+    if classes != N_TRANSITION_CLASSES || states != VISUAL {
+        bail!(
+            "training starts from a ph-vi-chmm ({N_TRANSITION_CLASSES} transition classes, {VISUAL} visual states), this model has \
+             {classes} and {states}"
+        );
+    }
+    Ok(())
+}
+
+fn spaced<T: ToString>(items: &[T]) -> String {
+    items.iter().map(T::to_string).collect::<Vec<_>>().join(" ")
+}
+
+fn numbers<T: std::str::FromStr>(text: &str) -> Result<Vec<T>> {
+    text.split_whitespace()
+        .map(|word| {
+            word.parse()
+                .map_err(|_| anyhow::anyhow!("{word:?} in {text:?} is no number of the right kind"))
+        })
+        .collect()
+}
+
+fn feedback_name(feedback: Feedback) -> &'static str {
+    match feedback {
+        Feedback::None => "none",
+        Feedback::Output => "output",
+        Feedback::Memory => "memory",
+    }
+}
+
+fn feedback_of(name: &str) -> Result<Feedback> {
+    [Feedback::None, Feedback::Output, Feedback::Memory]
+        .into_iter()
+        .find(|f| feedback_name(*f) == name)
+        .with_context(|| format!("unknown feedback {name:?}"))
+}
+
+fn gate_name(gate: Gate) -> &'static str {
+    match gate {
+        Gate::Audio => "audio",
+        Gate::Visual => "visual",
+        Gate::Both => "both",
+    }
+}
+
+fn gate_of(name: &str) -> Result<Gate> {
+    [Gate::Audio, Gate::Visual, Gate::Both]
+        .into_iter()
+        .find(|g| gate_name(*g) == name)
+        .with_context(|| format!("unknown chain {name:?}"))
+}

@@ -1,0 +1,26 @@
+//! Arrays of numbers as `.npy` files.
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use lipstream_media::files;
+use ndarray::Array2;
+
+/// Reads a two-dimensional f32 array and refuses NaN and infinities.
+pub fn read_npy(path: &Path) -> Result<Array2<f32>> {
+    let array: Array2<f32> =
+        ndarray_npy::read_npy(path).with_context(|| format!("cannot read {}", path.display()))?;
+    if let Some(((row, column), _)) = array.indexed_iter().find(|(_, v)| !v.is_finite()) {
+        bail!(
+            "{}: the number in row {row}, column {column} is not finite",
+            path.display()
+        );
+    }
+    // A file in column order becomes row order: everything else walks frames as slices.
+    Ok(array.as_standard_layout().into_owned())
+}
+
+/// Writes a two-dimensional f32 array, whole or not at all.
+pub fn write_npy(path: &Path, array: &Array2<f32>) -> Result<()> {
+    use ndarray_npy::WriteNpyExt;
+    files::write_whole(path, |file| Ok(array.write_npy(file)?))
+}

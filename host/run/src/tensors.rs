@@ -1,0 +1,148 @@
+//! Named f32 arrays with notes in one `.safetensors` file: the host's float models and eigenmouth spaces.
+use std::collections::HashMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use anyhow::{Context, Result, anyhow, bail};
+use ndarray::{Array, ArrayBase, Data, Dimension};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+
+use lipstream_media::files;
+
+/// What has been read from a file.
+pub struct Tensors {
+    path: String,
+    arrays: HashMap<String, (Vec<usize>, Vec<f32>)>,
+    notes: HashMap<String, String>,
+}
+
+/// What is to be written.
+#[derive(Default)]
+pub struct TensorsBuilder {
+    arrays: Vec<(String, Vec<usize>, Vec<u8>)>,
+    notes: HashMap<String, String>,
+}
+
+impl TensorsBuilder {
+    pub fn put<S: Data<Elem = f32>, D: Dimension>(&mut self, name: &str, array: &ArrayBase<S, D>) {
+        let bytes = array.iter().flat_map(|v| v.to_le_bytes()).collect();
+        self.arrays.push((name.to_owned(), array.shape().to_vec(), bytes));
+    }
+
+    pub fn note(&mut self, key: &str, value: impl ToString) {
+        self.notes.insert(key.to_owned(), value.to_string());
+    }
+
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let mut views = Vec::new();
+        for (name, shape, bytes) in &self.arrays {
+            views.push((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes)?));
+        }
+        // Sorted, so that equal contents give equal bytes.
+        let notes: std::collections::BTreeMap<_, _> = self.notes.iter().collect();
+        let note = serde_json::to_string(&notes)?;
+        let metadata = HashMap::from([("lipstream".to_owned(), note)]);
+        let bytes = safetensors::serialize(views, Some(metadata))?;
+        files::write_bytes(path, &bytes)
+    }
+}
+
+impl Tensors {
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::parse(&files::read_bytes(path)?, &path.display().to_string())
+    }
+
+    /// A file's bytes; `name` says in errors where they are from.
+    pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
+        if bytes.starts_with(&lipstream_core::model::field::MAGIC) {
+            bail!(
+                "{name} holds the device's tables; give the model (.safetensors) that they were exported from"
+            );
+        }
+        let parsed =
+            SafeTensors::deserialize(bytes).with_context(|| format!("{name} is no safetensors file"))?;
+        let (_, header) = SafeTensors::read_metadata(bytes)?;
+        let note = header
+            .metadata()
+            .as_ref()
+            .and_then(|m| m.get("lipstream"))
+            .ok_or_else(|| {
+                anyhow!("{name} was not written by lipstream (its header has no `lipstream` note)")
+            })?;
+        let notes =
+            serde_json::from_str(note).with_context(|| format!("{name}: damaged `lipstream` note"))?;
+        let mut arrays = HashMap::new();
+        for (key, view) in parsed.tensors() {
+            if view.dtype() != Dtype::F32 {
+                bail!("{name}: tensor {key} is not f32");
+            }
+            let values: Vec<f32> = view
+                .data()
+                .chunks_exact(4)
+                .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+                .collect();
+            if values.iter().any(|v| !v.is_finite()) {
+                bail!("{name}: tensor {key} holds a number that is not finite");
+            }
+            arrays.insert(key, (view.shape().to_vec(), values));
+        }
+        Ok(Self {
+            path: name.to_owned(),
+            arrays,
+            notes,
+        })
+    }
+
+    /// The array called `name`, of as many dimensions as the caller's type says.
+    pub fn array<D: Dimension>(&self, name: &str) -> Result<Array<f32, D>> {
+        let (shape, values) = self
+            .arrays
+            .get(name)
+            .ok_or_else(|| anyhow!("{}: no tensor {name}", self.path))?;
+        Array::from_shape_vec(shape.clone(), values.clone())?
+            .into_dimensionality()
+            .map_err(|_| anyhow!("{}: tensor {name} has {} dimensions", self.path, shape.len()))
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.arrays.contains_key(name)
+    }
+
+    pub fn noted<T: FromStr>(&self, key: &str) -> Result<T> {
+        let text = self
+            .notes
+            .get(key)
+            .ok_or_else(|| anyhow!("{}: no note {key}", self.path))?;
+        text.parse()
+            .map_err(|_| anyhow!("{}: note {key} is {text:?}", self.path))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::{Array2, array};
+
+    #[test]
+    fn what_was_written_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        let mut out = TensorsBuilder::default();
+        out.put("x", &array![[1.0f32, 2.0], [3.0, 4.5]]);
+        out.note("n", 7);
+        out.write(&path).unwrap();
+        let back = Tensors::read(&path).unwrap();
+        let x: Array2<f32> = back.array("x").unwrap();
+        assert_eq!(x, array![[1.0f32, 2.0], [3.0, 4.5]]);
+        assert_eq!(back.noted::<usize>("n").unwrap(), 7);
+        assert!(back.array::<ndarray::Ix2>("y").is_err());
+    }
+
+    #[test]
+    fn damaged_files_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        std::fs::write(&path, b"not a model").unwrap();
+        assert!(Tensors::read(&path).is_err());
+    }
+}

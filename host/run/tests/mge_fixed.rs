@@ -1,0 +1,288 @@
+//! Streams of a model with a memory, of random numbers: cuts, ends, hostile sounds, crafted tables. Against its floats a
+//! trained one is held in `mge.rs`.
+mod common;
+
+use common::tables::{hear_out, seal, section};
+use lipstream::export::{MgeSettings, export_mge};
+use lipstream::kinds::recurrent::context::Context;
+use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::parameters::{
+    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
+};
+use lipstream::synthetic::{self, Sizes};
+use lipstream_core::logmath::LogProb;
+use lipstream_core::model::Model as Tables;
+use lipstream_core::model::field::{CRC_SIZE, N_SECTIONS, Section, entry, header};
+use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::stream::{MEMORY_FRAMES, MEMORY_TOKENS, Settings, Stream};
+use lipstream_core::wire::Profile;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+const OUTPUTS: usize = 5;
+
+/// A model of random numbers of the sizes that trained ones have.
+fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
+    let rng = &mut Pcg64::seed_from_u64(seed);
+    let twin = synthetic::model(&Sizes::small(), 2.0, rng);
+    let shape = Shape {
+        phones: twin.phones.len(),
+        context: Context::default(),
+        inputs: 22,
+        memory: 17,
+        outputs: OUTPUTS,
+        feedback,
+        maps,
+        rates,
+    };
+    let mut parameters = Parameters::zeros(&shape);
+    for group in GROUPS {
+        let (mean, deviation) = match group {
+            Group::Projection => (0.0, 0.1),
+            Group::Audio => (0.0, 1.0),
+            // Few states at the beginning: the device lets six of each chain speak.
+            Group::Initial => (0.0, 8.0),
+            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
+            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
+            _ => (0.0, 0.3),
+        };
+        fill_normal(parameters.of_mut(group), mean, deviation, rng);
+    }
+    let transition = twin.transition.iter();
+    parameters
+        .of_mut(Group::Transition)
+        .iter_mut()
+        .zip(transition)
+        .for_each(|(to, from)| *to = *from);
+    MgeModel {
+        context_mean: (0..shape.context.size())
+            .map(|_| rng.random_range(-0.5f32..0.5))
+            .collect(),
+        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
+        deviation: (0..OUTPUTS).map(|d| 100.0 / (d + 1) as f32).collect(),
+        least: 1e-4,
+        validation_amse: None,
+        provenance: "random numbers".to_owned(),
+        twin,
+        parameters,
+    }
+}
+
+fn tables(model: &MgeModel) -> Vec<u8> {
+    export_mge(model, &MgeSettings::default()).unwrap().bytes
+}
+
+#[test]
+fn a_stream_does_not_depend_on_its_cuts_and_begins_anew_after_its_end() {
+    let model = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
+    let tables = tables(&model);
+    let tables = Tables::new_checked(&tables).unwrap();
+    let rng = &mut Pcg64::seed_from_u64(2);
+    let sounds: [Vec<i16>; 5] = [
+        (0..16000).map(|_| rng.random_range(-3000..3000)).collect(),
+        vec![0; 8000],
+        vec![32767; 8000],
+        (0..8000)
+            .map(|n| if n / 40 % 2 == 0 { 32767 } else { -32768 })
+            .collect(),
+        (0..16000)
+            .map(|n| {
+                if n < 8000 {
+                    0
+                } else {
+                    rng.random_range(-30000..30000)
+                }
+            })
+            .collect(),
+    ];
+    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    for sound in &sounds {
+        let mut whole: Option<Vec<ParameterFrame>> = None;
+        for cut in [1, 7, 160, 4096] {
+            let mut said = Vec::new();
+            for piece in sound.chunks(cut) {
+                let mut rest = piece;
+                while !rest.is_empty() {
+                    let (taken, frame) = stream.push(rest);
+                    rest = &rest[taken..];
+                    said.extend(frame);
+                }
+            }
+            while let Some(frame) = stream.finish() {
+                said.push(frame);
+            }
+            assert_eq!(said.len(), (sound.len() - 400) / 160 + 1);
+            match &whole {
+                Some(whole) => assert!(*whole == said, "cut every {cut} samples"),
+                None => whole = Some(said),
+            }
+        }
+    }
+    assert_eq!(stream.delay_samples(), 8 * 160 + 200);
+}
+
+/// Crafted tables with a right checksum: either refused, or the stream runs through any sound without a panic (overflow
+/// checks are on in test builds).
+#[test]
+fn crafted_tables_never_panic() {
+    let good = tables(&model(Feedback::Output, Gate::Both, Gate::Visual, 9));
+    let mut rng = Pcg64::seed_from_u64(6);
+    let (mut accepted, mut refused) = (0, 0);
+    for round in 0..300 {
+        let mut bad = good.clone();
+        let body = header::SIZE + N_SECTIONS * entry::SIZE..bad.len() - CRC_SIZE;
+        if round % 3 == 0 {
+            // Everything random, or as large as it gets, in one section.
+            let range = section(&bad, Section::ALL[rng.random_range(1..N_SECTIONS)]);
+            let extreme = [0x7f, 0x80, 0xff][rng.random_range(0..3)];
+            let random = rng.random_bool(0.5);
+            for byte in &mut bad[range] {
+                *byte = if random { rng.random() } else { extreme };
+            }
+        } else {
+            for _ in 0..rng.random_range(1..200) {
+                let at = rng.random_range(body.clone());
+                bad[at] = rng.random();
+            }
+        }
+        seal(&mut bad);
+        let Ok(tables) = Tables::new_checked(&bad) else {
+            refused += 1;
+            continue;
+        };
+        accepted += 1;
+        let samples: Vec<i16> = (0..4000).map(|_| rng.random()).collect();
+        hear_out(&tables, &samples);
+    }
+    assert!(
+        accepted > 20 && refused > 20,
+        "{accepted} accepted, {refused} refused"
+    );
+}
+
+/// Every frame that a stream of this size gives for a sound, and in how many the beam was narrowed.
+fn run<const TOKENS: usize, const FRAMES: usize>(
+    tables: &Tables,
+    settings: Settings,
+    sound: &[i16],
+) -> (Vec<ParameterFrame>, u32) {
+    let mut stream = Box::new(Stream::<TOKENS, FRAMES>::sized(tables, settings));
+    let mut said = Vec::new();
+    let mut rest = sound;
+    while !rest.is_empty() {
+        let (taken, frame) = stream.push(rest);
+        rest = &rest[taken..];
+        said.extend(frame);
+    }
+    said.extend(std::iter::from_fn(|| stream.finish()));
+    (said, stream.narrowed())
+}
+
+fn rustle(samples: usize) -> Vec<i16> {
+    let rng = &mut Pcg64::seed_from_u64(6);
+    (0..samples)
+        .map(|n| {
+            let loud = 200 + 3000 * ((n / 1600) % 3) as i32;
+            rng.random_range(-loud..loud) as i16
+        })
+        .collect()
+}
+
+#[test]
+fn profiles_wait_as_long_as_they_say_and_are_switched_at_run_time() {
+    let model = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
+    let tables = tables(&model);
+    let tables = Tables::new_checked(&tables).unwrap();
+    let sound = rustle(16_000);
+    let frames = (sound.len() - 400) / 160 + 1;
+    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    for (profile, hops, most_ms) in [
+        (Profile::Studio, 8, f64::INFINITY),
+        (Profile::Live, 3, 45.0),
+        (Profile::Standard, 6, 80.0),
+        (Profile::Live, 3, 45.0),
+    ] {
+        stream.set(Settings::of(profile));
+        assert_eq!(stream.delay_samples(), hops * 160 + 200);
+        assert!(stream.delay_samples() as f64 / 16.0 <= most_ms, "{profile:?}");
+        let (mut heard, mut said) = (0, Vec::new());
+        for piece in sound.chunks(160) {
+            let mut rest = piece;
+            while !rest.is_empty() {
+                let (taken, frame) = stream.push(rest);
+                rest = &rest[taken..];
+                heard += taken;
+                if let Some(frame) = frame {
+                    // The last sample that a frame waits for is exactly so far behind its centre.
+                    assert_eq!(heard, frame.sample as usize + stream.delay_samples());
+                    said.push(frame);
+                }
+            }
+        }
+        said.extend(std::iter::from_fn(|| stream.finish()));
+        assert_eq!(said.len(), frames, "{profile:?}");
+        // The same as a stream that never knew another profile.
+        let (anew, _) = run::<384, 9>(&tables, Settings::of(profile), &sound);
+        assert!(said == anew, "{profile:?}");
+    }
+}
+
+#[test]
+fn a_stream_of_half_the_room_gives_the_same_frames() {
+    let model = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
+    let tables = tables(&model);
+    let tables = Tables::new_checked(&tables).unwrap();
+    let sound = rustle(16_000);
+    for profile in [Profile::Live, Profile::Studio] {
+        let large = run::<384, 9>(&tables, Settings::of(profile), &sound);
+        let small = run::<MEMORY_TOKENS, MEMORY_FRAMES>(&tables, Settings::of(profile), &sound);
+        assert!(large == small, "{profile:?}");
+    }
+    let bytes = |large: usize, small: usize| assert!(2 * small < large + 1024, "{small} of {large} bytes");
+    bytes(
+        size_of::<Stream>(),
+        size_of::<Stream<MEMORY_TOKENS, MEMORY_FRAMES>>(),
+    );
+}
+
+/// Flat emissions keep every state alive: the bounds hold all the same, and say so.
+#[test]
+fn bounds_narrow_the_beam_and_are_counted() {
+    let mut flat = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
+    for group in [Group::Audio, Group::AudioBias, Group::Visual, Group::VisualBias] {
+        flat.parameters.of_mut(group).fill(0.0);
+    }
+    let tables = tables(&flat);
+    let tables = Tables::new_checked(&tables).unwrap();
+    let sound = rustle(8_000);
+    let settings = Settings {
+        beam: Some(LogProb::from_q12(40 << 12)),
+        most: Some(12),
+        phones: Some(3),
+        ..Settings::default()
+    };
+    let mut stream = Box::new(Stream::new(&tables, settings));
+    let mut rest = &sound[..];
+    let (mut frames, mut most) = (0, 0);
+    while !rest.is_empty() {
+        let (taken, frame) = stream.push(rest);
+        rest = &rest[taken..];
+        frames += u32::from(frame.is_some());
+        most = most.max(stream.active());
+    }
+    assert_eq!(most, 12);
+    assert!(
+        stream.narrowed() > frames / 2,
+        "{} of {frames}",
+        stream.narrowed()
+    );
+    stream.reset();
+    assert_eq!(stream.narrowed(), 0);
+    // With room for all of them nothing is held back.
+    let roomy = Settings {
+        most: Some(u16::MAX),
+        phones: Some(u16::MAX),
+        ..settings
+    };
+    assert_eq!(run::<2048, 1>(&tables, roomy, &sound).1, 0);
+}

@@ -1,7 +1,0 @@
-//! What every copy of the program carries with it.
-
-/// Speech made with flite, see data/README.md.
-pub const SOUND: &[u8] = include_bytes!("../../data/hello.wav");
-/// The shipped model, see models/README.md: what is drawn with, and what converts.
-pub const MODEL: &[u8] = include_bytes!("../../models/grid-s1.safetensors");
-pub const TABLES: &[u8] = include_bytes!("../../models/grid-s1.tables");

@@ -1,0 +1,46 @@
+//! The project's laboratory: `cargo xtask TOOL` measures what the documents state, or writes files that are made by program.
+//!
+//! | tool | what it does |
+//! |---|---|
+//! | `beam` | Active joint states per frame against the width of the beam: `beam TABLES WAV...`. |
+//! | `feedback` | The paper's EM feedback, live: one sweep over the lag window with every incoming frame, at several exponents of the mouth, in |
+//! | `fidelity` | What the device costs a model, step by step. |
+//! | `gate` | How often the states that gate the maps are of the labelled phone and viseme: the likelihood-trained model under its |
+//! | `strangers` | Other talkers through a model of one: how well its lip gap follows the gap of their own mouths. |
+//! | `tables` | Writes the generated constants into `core/src/tables/`. |
+//! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
+use anyhow::{Result, bail};
+
+mod beam;
+mod feedback;
+mod fidelity;
+mod gate;
+mod generated;
+mod strangers;
+mod tables;
+mod vectors;
+
+/// A tool's name and what it does with the words behind it.
+type Tool = (&'static str, fn(&[String]) -> Result<()>);
+
+const TOOLS: &[Tool] = &[
+    ("beam", beam::run),
+    ("feedback", feedback::run),
+    ("fidelity", fidelity::run),
+    ("gate", gate::run),
+    ("strangers", strangers::run),
+    ("tables", tables::run),
+    ("vectors", vectors::run),
+];
+
+fn main() -> Result<()> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let names = || TOOLS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
+    let Some((name, rest)) = words.split_first() else {
+        bail!("name a tool: {}", names());
+    };
+    match TOOLS.iter().find(|(tool, _)| tool == name) {
+        Some((_, run)) => run(rest),
+        None => bail!("no tool is called {name}: {}", names()),
+    }
+}
