@@ -9,6 +9,7 @@ use lipstream::reference::Normalisation;
 use lipstream_core::frontend::{FrontEnd, Hop};
 use ndarray::{Array2, s};
 
+pub(crate) mod hcopy;
 pub(crate) mod sounds;
 pub(crate) mod tables;
 pub(crate) mod talker;
