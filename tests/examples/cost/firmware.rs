@@ -26,7 +26,7 @@ pub(crate) const ROWS: [(&str, &str); 8] = [
     ),
     ("bytes most", "**RAM at most**"),
 ];
-/// What they may be at most (DESIGN section 13).
+/// What they may be at most, the aim that `docs/cost.md` states.
 pub(crate) const MOST: [(&str, u64); 3] = [
     ("bytes tables", 256 * 1024),
     ("bytes image", 384 * 1024),

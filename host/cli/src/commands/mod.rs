@@ -1,4 +1,4 @@
-//! The command line (DESIGN section 10): one file per command.
+//! The command line: one file per command.
 use std::ffi::OsString;
 
 use anyhow::Result;

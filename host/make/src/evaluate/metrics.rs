@@ -80,7 +80,7 @@ impl Score {
         self.frames as usize
     }
 
-    /// Mean squared distance per frame. What the paper's name says, and what DESIGN section 11 quotes.
+    /// Mean squared distance per frame. What the paper's name says (DESIGN section 10).
     pub fn amse(&self) -> f64 {
         self.squared / self.frames
     }
