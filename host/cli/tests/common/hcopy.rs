@@ -7,8 +7,8 @@ use std::process::Command;
 
 use lipstream::reference::{self, Normalisation};
 use lipstream::{frontend, htk};
-use lipstream_media::sound;
 use lipstream_core::N_CEPSTRA;
+use lipstream_media::sound;
 use ndarray::{Array2, s};
 
 /// Most that a coefficient may differ by from HCopy's.
