@@ -1,11 +1,11 @@
 //! The board's memory map and the model's tables.
 //!
 //! The tables are `models/grid-s1.tables`, or the file that the environment variable LIPSTREAM_TABLES names; they
-//! become part of the image.
+//! become part of the image, and their kind is that of the program.
 use std::env;
 use std::path::PathBuf;
 
-use lipstream_core::model::Model;
+use lipstream_core::AnyModel;
 
 /// A board's Cargo feature as the environment spells it, and the symbol that chooses its memory in `memory.x`.
 const BOARDS: [(&str, &str); 1] = [("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386")];
@@ -37,7 +37,6 @@ fn main() {
         None => root.join("models/grid-s1.tables"),
     };
     println!("cargo::rerun-if-changed={}", tables.display());
-    println!("cargo::rustc-check-cfg=cfg(model_with_memory)");
     let Ok(bytes) = std::fs::read(&tables) else {
         println!(
             "cargo::error=no model tables at {}: `lipstream export` makes them, LIPSTREAM_TABLES names them",
@@ -46,11 +45,18 @@ fn main() {
         return;
     };
     println!("cargo::rustc-env=LIPSTREAM_TABLES_FILE={}", tables.display());
-    // The stream gets as much room as this kind of model needs.
-    match Model::new_checked(&bytes) {
-        Ok(model) if model.is_recurrent() => println!("cargo::rustc-cfg=model_with_memory"),
-        Ok(_) => (),
-        // The device says it again at its start.
-        Err(error) => println!("cargo::warning={} is no model: {error}", tables.display()),
+    // A program runs one kind of model, and has room for nothing else.
+    let kind = match AnyModel::new_checked(&bytes) {
+        Ok(model) => model.kind_name(),
+        Err(error) => {
+            // The device says it again at its start, whatever kind it was built for.
+            println!("cargo::warning={} is no model: {error}", tables.display());
+            "Recurrent"
+        }
+    };
+    let to = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it")).join("kind.rs");
+    let text = format!("/// The kind of the tables.\ntype Kind = lipstream_core::kinds::{kind}<'static>;\n");
+    if let Err(error) = std::fs::write(&to, text) {
+        println!("cargo::error=cannot write {}: {error}", to.display());
     }
 }

@@ -4,47 +4,59 @@
 //! the device, in QEMU and inside the host program, and gives the same bytes in all three.
 //!
 //! ```
-//! use lipstream_core::model::Model;
-//! use lipstream_core::stream::{MEMORY_FRAMES, MEMORY_TOKENS, Settings, Stream};
+//! use lipstream_core::model::ModelError;
 //! use lipstream_core::wire::Profile;
+//! use lipstream_core::{Model, Recurrent, Stream, StreamSettings};
 //!
 //! # fn move_mouth(_parameters: &[i16]) {}
-//! # let microphone = [[0i16; 160]; 50];
-//! // What `lipstream export` wrote; `models/` has one.
-//! static TABLES: &[u8] = include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), "/../models/grid-s1.tables"));
-//!
-//! let model = Model::new_checked(TABLES)?;
-//! let settings = Settings::of(Profile::Standard);
-//! let mut stream = Stream::<MEMORY_TOKENS, MEMORY_FRAMES>::sized(&model, settings);
-//! for piece in microphone {
-//!     let mut rest = &piece[..]; // 16 kHz, cut anywhere
-//!     while !rest.is_empty() {
-//!         let (taken, frame) = stream.push(rest);
-//!         rest = &rest[taken..];
-//!         if let Some(frame) = frame {
-//!             move_mouth(&frame.values); // frame.sample: what it belongs to
+//! /// `tables` is what `lipstream export` wrote; a device has it in its flash.
+//! fn talk(tables: &[u8], microphone: impl Iterator<Item = [i16; 160]>) -> Result<(), ModelError> {
+//!     // The kind of the model is a type: tables of another kind are refused in words.
+//!     let model = Model::<Recurrent>::new_checked(tables)?;
+//!     let mut stream = Stream::new(&model, StreamSettings::of(Profile::Standard));
+//!     for piece in microphone {
+//!         let mut rest = &piece[..]; // 16 kHz, cut anywhere
+//!         while !rest.is_empty() {
+//!             let (taken, frame) = stream.push(rest);
+//!             rest = &rest[taken..];
+//!             if let Some(frame) = frame {
+//!                 // frame.sample says which sound it belongs to.
+//!                 for group in model.head().groups().filter(|group| group.name == "mouth") {
+//!                     move_mouth(group.of(&frame.values));
+//!                 }
+//!             }
 //!         }
 //!     }
+//!     Ok(())
 //! }
-//! # Ok::<(), lipstream_core::model::ModelError>(())
+//! # assert!(talk(b"no model", std::iter::empty()).is_err());
 //! ```
 //!
-//! A scale a parameter ([`model::Model::parameter_scales`]) makes real units of them; [`wire`] is what goes over a line. The feature
-//! `defmt` derives `defmt::Format`; no feature changes a number.
+//! A scale a parameter ([`model::Head::parameter_scales`]) makes real units of them; [`wire`] is what goes over a line. Programs that
+//! learn the kind of a model when they run use [`AnyModel`] and [`AnyStream`]. Everything else in here is the inside of
+//! these: open to tests and measurements, and free to change. The feature `defmt` derives `defmt::Format`; no feature changes a
+//! number.
 #![no_std]
 #![deny(unsafe_code)]
 
+pub mod context;
 pub mod fixed;
+pub mod frame;
 pub mod frontend;
 pub mod hmm;
+pub mod kinds;
 pub mod logmath;
-pub mod mge;
 pub mod model;
-pub mod parameters;
-pub mod projection;
+pub mod settings;
 pub mod stream;
 pub mod tables;
 pub mod wire;
+
+pub use frame::ParameterFrame;
+pub use kinds::{AnyModel, AnyStream, Likelihood, Recurrent};
+pub use model::Model;
+pub use settings::StreamSettings;
+pub use stream::Stream;
 
 /// Sampling rate of all audio that enters the core.
 pub const SAMPLE_RATE_HZ: u32 = 16_000;

@@ -1,49 +1,45 @@
-//! Samples in, mouth parameters out: front end, converter and moving average behind one `push`.
+//! Samples in, parameters out: the front end and a kind's converter behind one `push`.
+use core::marker::PhantomData;
+
+use crate::frame::ParameterFrame;
 use crate::frontend::{Config, FrontEnd, OBSERVATION_DELAY};
-use crate::hmm::converter::Converter;
+use crate::kinds::{Convert, Kind};
 use crate::model::Model;
-use crate::parameters::ParameterFrame;
+use crate::settings::StreamSettings;
 use crate::{FRAME_SAMPLES, HOP_SAMPLES};
 
-pub use crate::hmm::converter::Settings;
-
-/// Active joint states that a device's stream has room for.
-pub const TOKENS: usize = 384;
-/// Frames of a device's smoothing window: a lag of 8 at most.
-pub const FRAMES: usize = 9;
-/// The same for a stream of a model with a memory (see [`crate::mge`]), which keeps fewer states and has no lag: with these as
-/// its parameters a [`Stream`] takes half the room, and gives the same frames.
-pub const MEMORY_TOKENS: usize = crate::hmm::follower::MOST_SHARP;
-pub const MEMORY_FRAMES: usize = 1;
-
-/// One stream of speech. The result does not depend on how the samples are cut.
+/// One stream of speech through a model of kind `K`. The result does not depend on how the samples are cut.
 ///
-/// `TOKENS` bounds the active joint states, `FRAMES` − 1 the lag; [`Stream::new`] makes the device's size. Nothing in
-/// here allocates, fails or panics once it is made.
+/// The converter `C` is the kind's, of a device's size unless another one is named with [`Stream::sized`]. Nothing in here
+/// allocates, fails or panics once it is made.
 #[derive(Clone, Debug)]
-pub struct Stream<'m, const TOKENS: usize = { self::TOKENS }, const FRAMES: usize = { self::FRAMES }> {
+pub struct Stream<'m, K: Kind<'m>, C = <K as Kind<'m>>::Converter> {
     frontend: FrontEnd,
-    converter: Converter<'m, TOKENS, FRAMES>,
+    converter: C,
+    kind: PhantomData<&'m K>,
 }
 
-impl<'m> Stream<'m> {
+impl<'m, K: Kind<'m>> Stream<'m, K> {
     /// A stream of the device's size.
     #[inline(always)]
-    pub fn new(model: &'m Model<'m>, settings: Settings) -> Self {
+    pub fn new(model: &'m Model<'m, K>, settings: StreamSettings) -> Self {
         Self::sized(model, settings)
     }
 }
 
-impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
-    /// A stream of the size that the type says. A lag beyond `FRAMES` − 1 is held to it, see [`Stream::lag`].
+impl<'m, K: Kind<'m>, C: Convert<'m, K>> Stream<'m, K, C> {
+    /// A stream of the size that its converter's type says, for hosts with room to spare: `Stream<Likelihood, Converter<1872, 100>>`.
+    ///
+    /// Inlined into the place that it is made for: the state is large, and copies of it cost a device its stack.
     #[inline(always)]
-    pub fn sized(model: &'m Model<'m>, settings: Settings) -> Self {
+    pub fn sized(model: &'m Model<'m, K>, settings: StreamSettings) -> Self {
         Self {
             frontend: FrontEnd::new(Config {
-                start_mean: model.start_mean(),
+                start_mean: model.head().start_mean(),
                 normalise: true,
             }),
-            converter: Converter::new(model, settings),
+            converter: C::new(model, settings),
+            kind: PhantomData,
         }
     }
 
@@ -64,8 +60,10 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
 
     /// The frames that are still to come, one a call; None when all are out.
     pub fn finish(&mut self) -> Option<ParameterFrame> {
-        // Every turn but a few drains an observation or maps a frame, of which at most this many are left.
-        for _ in 0..4 * (FRAMES + OBSERVATION_DELAY) + 64 {
+        // A turn takes the front end's next held-back observation and lets the converter move one frame on by one of its steps
+        // (occupancies, maps, average). Each held-back frame needs at most four turns, so this many are enough; the bound is there
+        // only so that the loop ends whatever happens.
+        for _ in 0..4 * (C::HELD_BACK + OBSERVATION_DELAY) + 64 {
             if self.converter.is_done() {
                 return None;
             }
@@ -85,14 +83,9 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
     }
 
     /// Other settings for the same model; starts a new stream.
-    pub fn set(&mut self, settings: Settings) {
+    pub fn set(&mut self, settings: StreamSettings) {
         self.frontend.reset();
         self.converter.set(settings);
-    }
-
-    /// Lag in force, hops.
-    pub fn lag(&self) -> usize {
-        self.converter.lag()
     }
 
     /// Active joint states of the newest frame.
@@ -100,15 +93,15 @@ impl<'m, const TOKENS: usize, const FRAMES: usize> Stream<'m, TOKENS, FRAMES> {
         self.converter.active()
     }
 
-    /// Frames since the beginning in which the beam was narrowed to hold the worst case, see [`Settings::most`] and
-    /// [`Settings::phones`].
+    /// Frames since the beginning in which the beam was narrowed to hold the worst case, see [`StreamSettings::most`] and
+    /// [`StreamSettings::phones`].
     pub fn narrowed(&self) -> u32 {
         self.converter.narrowed()
     }
 
-    /// Algorithmic delay in samples: from the centre of a frame's window (its `sample`) to the last sample that its
-    /// parameters wait for: 160 · max(lag + 4, last tap), 160 more with the moving average, and half a window of 200; with a
-    /// memory 160 · look-ahead and half a window.
+    /// Algorithmic delay in samples: from the centre of a frame's window (its `sample`) to the last sample that its parameters wait
+    /// for. Of a likelihood-trained model 160 · max(lag + 4, last tap), 160 more with the moving average, and half a window of
+    /// 200; of a recurrent one 160 · look-ahead and half a window.
     pub fn delay_samples(&self) -> usize {
         self.converter.delay_hops() * HOP_SAMPLES + FRAME_SAMPLES / 2
     }

@@ -17,28 +17,53 @@ use core::fmt;
 
 use cobs::{DecodeResult, DecoderState};
 use crc::{CRC_16_IBM_3740, Crc, Digest};
-use heapless::Vec;
+use heapless::{String, Vec};
 use postcard::ser_flavors::{Cobs, Flavor, Slice};
 use serde::{Deserialize, Serialize};
 
 use crate::HOP_SAMPLES;
-use crate::parameters::{MAX_PARAMETERS, N_VISEMES, ParameterFrame};
+use crate::frame::{MAX_GROUPS, MAX_PARAMETERS, N_VISEMES, ParameterFrame, VisemeWeights};
+use crate::model::Head;
+use crate::model::common::GROUP_NAME_SIZE;
 
-/// Version of everything in this file; `Hello` carries it in its second byte, whatever else changes.
-pub const PROTOCOL: u8 = 2;
+/// Version of everything in this file; both ends' `Hello` carry it in their second byte, whatever else changes.
+pub const PROTOCOL: u8 = 3;
 /// Most samples that a [`ToDevice::Pcm`] carries: one hop.
 pub const MAX_PCM_SAMPLES: usize = HOP_SAMPLES;
-/// Longest payload, without its CRC, in bytes: a full `Pcm` (its 320 bytes of sound, their number in two, the
-/// sequence in up to five, the message number in one). A `Hello` with 64 parameters takes at most 275.
-pub const MAX_PAYLOAD: usize = 2 * MAX_PCM_SAMPLES + 8;
-/// Longest frame on the line in bytes: payload, CRC, one COBS byte for the start and each 254, the zero.
+/// Most bytes of a group's name.
+pub const MAX_GROUP_NAME: usize = GROUP_NAME_SIZE;
+
+/// Longest `Pcm`: its number 1, the sequence up to 5, the number of sound bytes 2, the sound 320.
+const MAX_PCM: usize = 1 + 5 + 2 + 2 * MAX_PCM_SAMPLES;
+/// Longest `Hello`: its number and the protocol 2, the model up to 5, the rate and the lag up to 3 each, visemes 1, the number of
+/// groups 1, each group's name with its length 9 and its size 1, the number of scales 1, the scales 4 each.
+const MAX_HELLO: usize =
+    2 + 5 + 3 + 3 + 1 + 1 + MAX_GROUPS * (1 + MAX_GROUP_NAME + 1) + 1 + 4 * MAX_PARAMETERS;
+/// Longest `Frame`: its number 1, sequence and sample up to 5 each, the number of parameters 1, the parameters up to 3 each, the
+/// number of weights 1, the weights.
+const MAX_FRAME: usize = 1 + 5 + 5 + 1 + 3 * MAX_PARAMETERS + 1 + N_VISEMES;
+
+/// Longest payload, without its CRC, in bytes: a full `Pcm`, 328. A full `Hello` takes 312 (64 parameters in 4 groups of
+/// the longest names), a full `Frame` 218.
+pub const MAX_PAYLOAD: usize = MAX_PCM;
+const _: () = assert!(MAX_HELLO <= MAX_PAYLOAD && MAX_FRAME <= MAX_PAYLOAD);
+/// Longest frame on the line in bytes: payload 328, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 333.
 pub const MAX_ENCODED: usize = MAX_PAYLOAD + CRC_BYTES + 2 + 1;
 
 const CRC_BYTES: usize = 2;
 /// CRC-16/IBM-3740 (polynomial 1021, start ffff): check value 29b1.
 static CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
-/// Number of `Hello` among the messages to the host: the first byte of its payload.
-const HELLO: u8 = 0;
+/// Numbers of messages: the first byte of a payload.
+mod number {
+    /// The device's `Hello`.
+    pub(super) const HELLO_TO_HOST: u8 = 0;
+    /// Messages to the host have numbers below this.
+    pub(super) const END_TO_HOST: u8 = 3;
+    /// The host's `Hello`.
+    pub(super) const HELLO_TO_DEVICE: u8 = 4;
+    /// Messages to the device have numbers below this.
+    pub(super) const END_TO_DEVICE: u8 = 5;
+}
 
 /// Device → host.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -47,12 +72,15 @@ const HELLO: u8 = 0;
     reason = "no allocation to put the large variant into"
 )]
 pub enum ToHost {
+    /// What the device is and how to read its frames.
     Hello(Hello),
+    /// One frame of parameters.
     Frame(Frame),
+    /// How the device is doing.
     Status(Status),
 }
 
-/// What the device is and how to read its frames. Sent at `Start`, after `Profile`, and about once a second.
+/// What the device is and how to read its frames. Sent at `Start`, after `Profile`, when the host asks, and about once a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
@@ -60,15 +88,60 @@ pub struct Hello {
     pub protocol: u8,
     /// Which model made the parameters; the host must have the same one to draw them.
     pub model: u32,
-    /// Real units of one LSB of each parameter, as many as a frame has parameters. Carried, not computed with.
-    pub scales: Vec<f32, MAX_PARAMETERS>,
     /// Parameter frames a second.
     pub rate_hz: u16,
     /// Samples that the device must hear after a frame's `sample` before it sends that frame.
     pub lag_samples: u16,
+    /// Viseme weights in a frame: 0 where the model has no visemes.
+    pub visemes: u8,
+    /// The named parts of a frame, in the order in which their parameters stand there.
+    pub groups: Vec<Group, MAX_GROUPS>,
+    /// Real units of one LSB of each parameter, all groups one after another. Carried, not computed with.
+    pub scales: Vec<f32, MAX_PARAMETERS>,
 }
 
-/// One frame of mouth parameters.
+/// A named part of a frame's parameters.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Group {
+    /// Short, lower-case ASCII letters, such as `mouth`.
+    pub name: String<MAX_GROUP_NAME>,
+    /// Parameters in it.
+    pub size: u8,
+}
+
+impl Hello {
+    /// What a device says that runs this model: `head` of it, `visemes` its viseme weights in a frame.
+    pub fn new(head: &Head, visemes: usize, rate_hz: u16, lag_samples: u16) -> Self {
+        let groups = head.groups().map(|group| Group {
+            // Names fit, as the checked tables have them from the same limit.
+            name: String::try_from(group.name).unwrap_or_default(),
+            size: group.place.len().min(MAX_PARAMETERS) as u8,
+        });
+        Self {
+            protocol: PROTOCOL,
+            model: head.id(),
+            rate_hz,
+            lag_samples,
+            visemes: visemes.min(N_VISEMES) as u8,
+            groups: groups.collect(),
+            scales: head.parameter_scales().collect(),
+        }
+    }
+
+    /// Whether the groups' sizes add up to the scales, every group has a name and a size, and the visemes are as many as a frame has
+    /// room for.
+    fn is_sound(&self) -> bool {
+        let sum: usize = self.groups.iter().map(|group| usize::from(group.size)).sum();
+        let named = |group: &Group| {
+            let letters = group.name.bytes().all(|b| b.is_ascii_lowercase());
+            letters && !group.name.is_empty() && group.size > 0
+        };
+        sum == self.scales.len() && self.groups.iter().all(named) && usize::from(self.visemes) <= N_VISEMES
+    }
+}
+
+/// One frame of parameters.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame {
@@ -76,10 +149,10 @@ pub struct Frame {
     pub sequence: u32,
     /// Sample at the centre of the frame's window since `Start`, modulo 2³².
     pub sample: u32,
-    /// Eigenmouth weights in units of `Hello`'s scales.
+    /// The parameters of all groups one after another, in units of `Hello`'s scales.
     pub parameters: Vec<i16, MAX_PARAMETERS>,
-    /// Occupancy of each viseme, 255 = 1.
-    pub viseme_weights: [u8; N_VISEMES],
+    /// Occupancy of each viseme, 255 = 1, as many as `Hello` says; none where the model has no visemes.
+    pub viseme_weights: VisemeWeights,
 }
 
 impl Frame {
@@ -89,8 +162,13 @@ impl Frame {
             sequence,
             sample: frame.sample,
             parameters: frame.values.clone(),
-            viseme_weights: frame.viseme_weights,
+            viseme_weights: frame.viseme_weights.clone(),
         }
+    }
+
+    /// Whether the frame has as many parameters and viseme weights as `hello` says.
+    pub fn fits(&self, hello: &Hello) -> bool {
+        self.parameters.len() == hello.scales.len() && self.viseme_weights.len() == usize::from(hello.visemes)
     }
 }
 
@@ -107,6 +185,8 @@ pub struct Status {
     pub dropped: u32,
     /// Frames since `Start` in which the beam was narrowed so that the deadline holds.
     pub narrowed: u32,
+    /// Whole messages since `Start` whose number this protocol does not have: skipped.
+    pub unknown: u32,
 }
 
 /// Host → device.
@@ -121,15 +201,20 @@ pub enum ToDevice<'a> {
     /// Sound for boards without a microphone, and for QEMU.
     #[serde(borrow)]
     Pcm(Pcm<'a>),
+    /// Who asks, and please say `Hello`: the device answers whatever the host's protocol is, and stops if it is another.
+    Hello {
+        /// The host's [`PROTOCOL`]. Stays the first field in every version.
+        protocol: u8,
+    },
 }
 
-/// Delay profiles (DESIGN section 5).
+/// Delay profiles (docs/design.md section 5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Profile {
-    /// At most 45 ms of algorithmic delay: 42.5 ms with a model with a memory.
+    /// At most 45 ms of algorithmic delay: 42.5 ms with a recurrent model.
     Live,
-    /// At most 80 ms: 72.5 ms with a model with a memory.
+    /// At most 80 ms: 72.5 ms with a recurrent model.
     Standard,
     /// No limit: the host delays the sound.
     Studio,
@@ -175,10 +260,18 @@ pub enum WireError {
     TooLong,
     /// The CRC does not fit the payload.
     Damaged,
-    /// No message of this protocol version, or bytes left over behind one.
+    /// A message of this protocol whose fields do not fit, or bytes left over behind one.
     Malformed,
+    /// A whole message of a number that this protocol does not have. To be skipped.
+    Unknown {
+        /// The number's first byte.
+        number: u8,
+    },
     /// A `Hello` of another protocol version.
-    Protocol { theirs: u8 },
+    Protocol {
+        /// The version that the other end speaks.
+        theirs: u8,
+    },
 }
 
 impl fmt::Display for WireError {
@@ -188,8 +281,11 @@ impl fmt::Display for WireError {
             Self::TooLong => write!(f, "frame longer than any message"),
             Self::Damaged => write!(f, "frame damaged: its checksum does not fit"),
             Self::Malformed => write!(f, "frame is no message of protocol {PROTOCOL}"),
+            Self::Unknown { number } => {
+                write!(f, "message {number} is not one of protocol {PROTOCOL}: skipped")
+            }
             Self::Protocol { theirs } => {
-                write!(f, "device speaks protocol {theirs}, this program {PROTOCOL}")
+                write!(f, "the other end speaks protocol {theirs}, this one {PROTOCOL}")
             }
         }
     }
@@ -222,19 +318,29 @@ pub trait Message<'a>: Serialize + Deserialize<'a> {
 impl<'a> Message<'a> for ToHost {
     fn from_payload(payload: &'a [u8]) -> Result<Self, WireError> {
         match *payload {
-            [HELLO, theirs, ..] if theirs != PROTOCOL => Err(WireError::Protocol { theirs }),
-            _ => parse(payload),
+            [number::HELLO_TO_HOST, theirs, ..] if theirs != PROTOCOL => Err(WireError::Protocol { theirs }),
+            [number, ..] if number >= number::END_TO_HOST => Err(WireError::Unknown { number }),
+            _ => match parse(payload)? {
+                Self::Hello(hello) if !hello.is_sound() => Err(WireError::Malformed),
+                message => Ok(message),
+            },
         }
     }
 }
 
 impl<'a> Message<'a> for ToDevice<'a> {
     fn from_payload(payload: &'a [u8]) -> Result<Self, WireError> {
-        match parse(payload)? {
-            ToDevice::Pcm(pcm) if pcm.bytes.len() % 2 != 0 || pcm.bytes.len() > 2 * MAX_PCM_SAMPLES => {
-                Err(WireError::Malformed)
+        match *payload {
+            [number::HELLO_TO_DEVICE, theirs, ..] if theirs != PROTOCOL => {
+                Err(WireError::Protocol { theirs })
             }
-            message => Ok(message),
+            [number, ..] if number >= number::END_TO_DEVICE => Err(WireError::Unknown { number }),
+            _ => match parse(payload)? {
+                ToDevice::Pcm(pcm) if pcm.bytes.len() % 2 != 0 || pcm.bytes.len() > 2 * MAX_PCM_SAMPLES => {
+                    Err(WireError::Malformed)
+                }
+                message => Ok(message),
+            },
         }
     }
 }
@@ -298,6 +404,7 @@ impl Default for Receiver {
 }
 
 impl Receiver {
+    /// At the start of a frame.
     pub const fn new() -> Self {
         Self {
             cobs: DecoderState::Idle,

@@ -1,6 +1,7 @@
 //! The examples in `docs/wire.md` are what the code sends and reads.
 use lipstream_core::wire::{
-    Frame, Hello, MAX_ENCODED, Message, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost, encode,
+    Frame, Group, Hello, MAX_ENCODED, Message, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
+    encode,
 };
 
 const DOCUMENT: &str = include_str!("../../docs/wire.md");
@@ -63,9 +64,34 @@ fn examples_hold() {
         ToHost::Hello(Hello {
             protocol: PROTOCOL,
             model: 0x1234_5678,
-            scales: [0.5, 0.25].into_iter().collect(),
             rate_hz: 100,
             lag_samples: 1080,
+            visemes: 13,
+            groups: [Group {
+                name: "mouth".try_into().unwrap(),
+                size: 2,
+            }]
+            .into_iter()
+            .collect(),
+            scales: [0.5, 0.25].into_iter().collect(),
+        }),
+    );
+    check_to_host(
+        "Hello without visemes, two groups",
+        ToHost::Hello(Hello {
+            protocol: PROTOCOL,
+            model: 0x1234_5678,
+            rate_hz: 25,
+            lag_samples: 1080,
+            visemes: 0,
+            groups: [("face", 1), ("mouth", 2)]
+                .into_iter()
+                .map(|(name, size)| Group {
+                    name: name.try_into().unwrap(),
+                    size,
+                })
+                .collect(),
+            scales: [1.0, 0.5, 0.25].into_iter().collect(),
         }),
     );
     check_to_host(
@@ -74,7 +100,16 @@ fn examples_hold() {
             sequence: 300,
             sample: 48_200,
             parameters: [-1, 1000].into_iter().collect(),
-            viseme_weights: [0, 255, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0],
+            viseme_weights: [0, 255, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0].into_iter().collect(),
+        }),
+    );
+    check_to_host(
+        "Frame 301 without visemes",
+        ToHost::Frame(Frame {
+            sequence: 301,
+            sample: 48_360,
+            parameters: [-1, 1000, 7].into_iter().collect(),
+            viseme_weights: Default::default(),
         }),
     );
     check_to_host(
@@ -84,10 +119,12 @@ fn examples_hold() {
             overruns: 0,
             dropped: 2,
             narrowed: 5,
+            unknown: 1,
         }),
     );
     check_to_device("Start", ToDevice::Start);
     check_to_device("Stop", ToDevice::Stop);
+    check_to_device("Hello from the host", ToDevice::Hello { protocol: PROTOCOL });
     check_to_device("Profile live", ToDevice::Profile(Profile::Live));
     check_to_device("Profile standard", ToDevice::Profile(Profile::Standard));
     check_to_device("Profile studio", ToDevice::Profile(Profile::Studio));

@@ -1,13 +1,12 @@
 //! The application: one stream of speech, its messages, and what it tells of itself.
 use lipstream_core::HOP_SAMPLES;
 use lipstream_core::SAMPLE_RATE_HZ;
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{self, Settings, Stream};
+use lipstream_core::kinds::Kind;
 use lipstream_core::wire::{
-    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
+    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Pcm, Profile, Receiver, Status, ToDevice, ToHost, WireError,
     encode,
 };
+use lipstream_core::{Model, ParameterFrame, Stream, StreamSettings};
 
 /// Parameter frames a second.
 const RATE_HZ: u16 = (SAMPLE_RATE_HZ / HOP_SAMPLES as u32) as u16;
@@ -26,21 +25,22 @@ pub trait Clock {
     fn ticks(&self) -> u32;
 }
 
-/// The device's end of the line. `TOKENS` and `FRAMES` are the stream's, see [`Stream`].
-pub struct App<'m, L, C, const TOKENS: usize = { stream::TOKENS }, const FRAMES: usize = { stream::FRAMES }> {
+/// The device's end of the line, with a model of kind `K`.
+pub struct App<'m, K: Kind<'m>, L, C> {
     receiver: Receiver,
-    engine: Engine<'m, L, C, TOKENS, FRAMES>,
+    engine: Engine<'m, K, L, C>,
 }
 
-impl<'m, L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> App<'m, L, C, TOKENS, FRAMES> {
+impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
+    /// Waits for `Start`. Inlined into the place that it is made for, as the stream is.
     #[inline(always)]
-    pub fn new(model: &'m Model<'m>, line: L, clock: C) -> Self {
+    pub fn new(model: &'m Model<'m, K>, line: L, clock: C) -> Self {
         let now = clock.ticks();
         Self {
             receiver: Receiver::new(),
             engine: Engine {
                 model,
-                stream: Stream::sized(model, Settings::of(Profile::Standard)),
+                stream: Stream::new(model, StreamSettings::of(Profile::Standard)),
                 line,
                 clock,
                 running: false,
@@ -55,9 +55,12 @@ impl<'m, L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> App<'m, L,
 
     /// A byte from the host.
     pub fn receive(&mut self, byte: u8) {
-        // Bytes that are no message show as a gap in the sequence of `Pcm`.
-        if let Some(Ok(message)) = self.receiver.push(byte) {
-            self.engine.obey(&message);
+        match self.receiver.push(byte) {
+            Some(Ok(message)) => self.engine.obey(&message),
+            Some(Err(WireError::Protocol { .. })) => self.engine.refuse(),
+            Some(Err(WireError::Unknown { .. })) => self.engine.skip(),
+            // Bytes that are no message show as a gap in the sequence of `Pcm`.
+            Some(Err(_)) | None => {}
         }
     }
 
@@ -88,9 +91,9 @@ impl<'m, L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> App<'m, L,
 }
 
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
-struct Engine<'m, L, C, const TOKENS: usize, const FRAMES: usize> {
-    model: &'m Model<'m>,
-    stream: Stream<'m, TOKENS, FRAMES>,
+struct Engine<'m, K: Kind<'m>, L, C> {
+    model: &'m Model<'m, K>,
+    stream: Stream<'m, K>,
     line: L,
     clock: C,
     /// Between `Start` and `Stop`.
@@ -106,17 +109,30 @@ struct Engine<'m, L, C, const TOKENS: usize, const FRAMES: usize> {
     round_began: u32,
 }
 
-impl<L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> Engine<'_, L, C, TOKENS, FRAMES> {
+impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
     fn obey(&mut self, message: &ToDevice) {
         match *message {
             ToDevice::Start => self.start(),
             ToDevice::Stop => self.stop(),
             ToDevice::Profile(profile) => {
-                self.stream.set(Settings::of(profile));
+                self.stream.set(StreamSettings::of(profile));
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
+            ToDevice::Hello { .. } => self.say_hello(),
         }
+    }
+
+    /// A host of another protocol: it gets to know ours, and no frames that it would misread.
+    fn refuse(&mut self) {
+        self.running = false;
+        self.line.send(&[0]);
+        self.say_hello();
+    }
+
+    /// A message of a number that this protocol does not have.
+    fn skip(&mut self) {
+        self.status.unknown = self.status.unknown.saturating_add(1);
     }
 
     fn start(&mut self) {
@@ -200,13 +216,8 @@ impl<L: Line, C: Clock, const TOKENS: usize, const FRAMES: usize> Engine<'_, L, 
     }
 
     fn say_hello(&mut self) {
-        let hello = Hello {
-            protocol: PROTOCOL,
-            model: self.model.id(),
-            scales: self.model.parameter_scales().collect(),
-            rate_hz: RATE_HZ,
-            lag_samples: self.stream.delay_samples().min(usize::from(u16::MAX)) as u16,
-        };
+        let lag = self.stream.delay_samples().min(usize::from(u16::MAX)) as u16;
+        let hello = Hello::new(self.model.head(), self.model.own().n_visemes(), RATE_HZ, lag);
         self.say(&ToHost::Hello(hello));
     }
 

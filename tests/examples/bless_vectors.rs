@@ -1,16 +1,76 @@
 //! Writes the vectors of `tests/src/stream.rs` anew: `cargo run -p lipstream-tests --example bless_vectors`.
 use std::path::Path;
 
-use lipstream::export::{ExportSettings, export};
+use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
+use lipstream::mge::context::Context;
+use lipstream::mge::model::MgeModel;
+use lipstream::mge::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal};
 use lipstream::synthetic::{Sizes, model};
-use lipstream_core::model::Model;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::kinds::Kind;
+use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};
 use lipstream_tests::stream::{Sound, run, with_feedback, write};
-use rand::SeedableRng;
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+/// What a model says of the sound, as the vectors hold it.
+fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> Vec<u8> {
+    let mut frames = Vec::new();
+    run(&mut Stream::new(model, settings), Sound::new(), 160, |frame| {
+        write(frame, |byte| frames.push(byte));
+    });
+    frames
+}
+
+/// A recurrent model of random numbers, both of whose chains own everything that they can.
+fn recurrent(rng: &mut Pcg64) -> MgeModel {
+    let mut twin = model(&Sizes::small(), 2.0, rng);
+    twin.start_mean.fill(0.0);
+    let shape = Shape {
+        phones: twin.phones.len(),
+        context: Context::default(),
+        inputs: 22,
+        memory: 17,
+        outputs: 5,
+        feedback: Feedback::Output,
+        maps: Gate::Both,
+        rates: Gate::Visual,
+    };
+    let mut parameters = Parameters::zeros(&shape);
+    for group in GROUPS {
+        let (mean, deviation) = match group {
+            Group::Projection => (0.0, 0.1),
+            Group::Audio => (0.0, 1.0),
+            // Few states at the beginning: the device lets six of each chain speak.
+            Group::Initial => (0.0, 8.0),
+            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
+            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
+            _ => (0.0, 0.3),
+        };
+        fill_normal(parameters.of_mut(group), mean, deviation, rng);
+    }
+    let transition = twin.transition.iter();
+    parameters
+        .of_mut(Group::Transition)
+        .iter_mut()
+        .zip(transition)
+        .for_each(|(to, from)| *to = *from);
+    MgeModel {
+        context_mean: (0..shape.context.size())
+            .map(|_| rng.random_range(-0.5f32..0.5))
+            .collect(),
+        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
+        deviation: (1..=shape.outputs).map(|d| 100.0 / d as f32).collect(),
+        least: 1e-4,
+        validation_amse: None,
+        provenance: "random numbers".to_owned(),
+        twin,
+        parameters,
+    }
+}
 
 fn main() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors");
-    let mut float = model(&Sizes::small(), 2.0, &mut rand_pcg::Pcg64::seed_from_u64(2026));
+    let mut float = model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(2026));
     float.following.acoustic_scale = 0.2;
     float.start_mean.fill(0.0);
     let with = ExportSettings {
@@ -20,18 +80,21 @@ fn main() {
     let bytes = export(&float, &with)
         .expect("a random model can be exported")
         .bytes;
-    let tables = Model::new_checked(&bytes).expect("what was exported is a model");
-    let said = |settings: Settings| {
-        let mut frames = Vec::new();
-        run(&mut Stream::new(&tables, settings), Sound::new(), 160, |frame| {
-            write(frame, |byte| frames.push(byte));
-        });
-        frames
-    };
+    let tables = Model::<Likelihood>::new_checked(&bytes).expect("what was exported is a model");
+    let float = recurrent(&mut Pcg64::seed_from_u64(2027));
+    let recurrent_bytes = export_mge(&float, &MgeSettings::default())
+        .expect("a random model can be exported")
+        .bytes;
+    let recurrent = Model::<Recurrent>::new_checked(&recurrent_bytes).expect("what was exported is a model");
     for (name, bytes) in [
         ("model/small.tables", &bytes),
-        ("stream/small.frames", &said(Settings::default())),
-        ("stream/feedback.frames", &said(with_feedback())),
+        ("stream/small.frames", &said(&tables, StreamSettings::default())),
+        ("stream/feedback.frames", &said(&tables, with_feedback())),
+        ("model/small-recurrent.tables", &recurrent_bytes),
+        (
+            "stream/small-recurrent.frames",
+            &said(&recurrent, StreamSettings::default()),
+        ),
     ] {
         let path = folder.join(name);
         lipstream_media::files::write_bytes(&path, bytes).expect("the vectors' folder can be written");

@@ -17,18 +17,18 @@ mod target {
     use core::mem::MaybeUninit;
 
     use cortex_m_rt::entry;
-    use lipstream_core::HOP_SAMPLES;
+    use lipstream_core::context::History;
+    use lipstream_core::frame::MAX_PARAMETERS;
     use lipstream_core::frontend::{Config, FrontEnd};
-    use lipstream_core::hmm::follower::Follower;
     use lipstream_core::hmm::gates::{Gates, viseme_weights};
-    use lipstream_core::hmm::local_linear::History;
-    use lipstream_core::mge::context::{Means, project};
-    use lipstream_core::mge::memory::Memory;
-    use lipstream_core::mge::occupancy::Occupancy;
-    use lipstream_core::mge::settle::settle;
-    use lipstream_core::model::Model;
-    use lipstream_core::parameters::MAX_PARAMETERS;
-    use lipstream_core::stream::{self, Settings, Stream};
+    use lipstream_core::kinds::recurrent::TOKENS;
+    use lipstream_core::kinds::recurrent::context::{Means, project};
+    use lipstream_core::kinds::recurrent::follower::Follower;
+    use lipstream_core::kinds::recurrent::memory::Memory;
+    use lipstream_core::kinds::recurrent::occupancy::Occupancy;
+    use lipstream_core::kinds::recurrent::settle::settle;
+    use lipstream_core::kinds::{AnyModel, Kind};
+    use lipstream_core::{HOP_SAMPLES, Likelihood, Model, Recurrent, Stream, StreamSettings};
     use semihosting::fs::File;
     use semihosting::io::Read;
     use semihosting::{println, process};
@@ -41,11 +41,12 @@ mod target {
 
     const MODEL_BYTES: usize = 320 * 1024;
     static mut MODEL: [u8; MODEL_BYTES] = [0; MODEL_BYTES];
-    static mut VIEW: MaybeUninit<Model> = MaybeUninit::uninit();
-    static mut STREAM: MaybeUninit<Stream> = MaybeUninit::uninit();
-    /// As firmware makes it for a model with a memory.
-    type MemoryStream = Stream<'static, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
-    static mut MEMORY_STREAM: MaybeUninit<MemoryStream> = MaybeUninit::uninit();
+    static mut VIEW: MaybeUninit<AnyModel> = MaybeUninit::uninit();
+    /// As firmware makes them.
+    type LikelihoodStream = Stream<'static, Likelihood<'static>>;
+    type RecurrentStream = Stream<'static, Recurrent<'static>>;
+    static mut LIKELIHOOD_STREAM: MaybeUninit<LikelihoodStream> = MaybeUninit::uninit();
+    static mut RECURRENT_STREAM: MaybeUninit<RecurrentStream> = MaybeUninit::uninit();
 
     fn read_all(file: &mut File, to: &mut [u8]) -> usize {
         let mut have = 0;
@@ -93,15 +94,20 @@ mod target {
         }
     }
 
-    type MemoryFollower = Follower<'static, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
-    static mut FOLLOWER: MaybeUninit<MemoryFollower> = MaybeUninit::uninit();
+    type DeviceFollower = Follower<'static, TOKENS>;
+    static mut FOLLOWER: MaybeUninit<DeviceFollower> = MaybeUninit::uninit();
 
-    /// A model with a memory, taken apart into its stages, over the sound.
-    fn stages(model: &'static Model<'static>, follower: &mut MemoryFollower, sound: &mut File) {
+    /// A recurrent model, taken apart into its stages, over the sound.
+    fn stages(
+        model: &'static Model<'static, Recurrent<'static>>,
+        follower: &mut DeviceFollower,
+        sound: &mut File,
+    ) {
         let mut frontend = FrontEnd::new(Config {
-            start_mean: model.start_mean(),
+            start_mean: model.head().start_mean(),
             normalise: true,
         });
+        let model = model.own();
         let (mut history, mut means, mut memory) = (History::new(), Means::new(), Memory::new());
         memory.reset(model);
         let (mut shown, mut known) = ([0; MAX_PARAMETERS], 0);
@@ -122,17 +128,20 @@ mod target {
             of_context.begin();
             history.push(&statics);
             means.push(model, &statics);
-            let Some(frame) = history.count().checked_sub(model.look_ahead() as u32 + 1) else {
+            let Some(frame) = history
+                .count()
+                .checked_sub(model.context().look_ahead() as u32 + 1)
+            else {
                 continue;
             };
             let z = project(model, &history, &means, frame);
             of_context.end();
-            let z = &z[..model.shape().inputs];
+            let z = &z[..model.context().n_inputs()];
             of_follow.begin();
-            follower.follow_inputs(z, &memory.mouth()[..model.shape().fed_back()]);
+            follower.follow(z, &memory.mouth()[..model.n_fed_back()]);
             of_follow.end();
             of_gates.begin();
-            let occupancy = Occupancy::of(model, follower.active());
+            let occupancy = Occupancy::of(model.hmm(), follower.active());
             let audio = Gates::choose(&occupancy.audio);
             let visual = Gates::choose(&occupancy.visual);
             of_gates.end();
@@ -167,48 +176,48 @@ mod target {
     fn main() -> ! {
         let mut file = open(c"model.tables");
         // SAFETY: a program of one thread without interrupts; nothing else names these statics.
-        let (bytes, view, place, memory_place, follower) = unsafe {
+        let (bytes, view, likelihood_place, recurrent_place, follower) = unsafe {
             (
                 &mut *(&raw mut MODEL),
                 &mut *(&raw mut VIEW),
-                &mut *(&raw mut STREAM),
-                &mut *(&raw mut MEMORY_STREAM),
+                &mut *(&raw mut LIKELIHOOD_STREAM),
+                &mut *(&raw mut RECURRENT_STREAM),
                 &mut *(&raw mut FOLLOWER),
             )
         };
         let size = read_all(&mut file, bytes);
-        let Ok(model) = Model::new_checked(&bytes[..size]) else {
+        let Ok(model) = AnyModel::new_checked(&bytes[..size]) else {
             fail("model.tables is no model that this core can run")
         };
-        let model: &'static Model = view.write(model);
+        let model: &'static AnyModel = view.write(model);
         let feedback = File::open(c"feedback.raw").ok().map(|mut file| {
             let mut exponent = [0; 4];
             read_all(&mut file, &mut exponent);
             u32::from_le_bytes(exponent)
         });
-        let settings = Settings {
+        let settings = StreamSettings {
             feedback,
-            ..Settings::default()
+            ..StreamSettings::default()
         };
         let mut sound = open(c"sound.raw");
-        if model.is_recurrent() {
-            let follower = follower.write(Follower::new(model, model.beam(), 0, None, None));
-            stages(model, follower, &mut open(c"sound.raw"));
-            let stream = memory_place.write(Stream::sized(model, settings));
-            count(stream, &mut sound);
-        } else {
-            count(place.write(Stream::new(model, settings)), &mut sound);
+        match model {
+            AnyModel::Recurrent(model) => {
+                let beam = model.own().settings().beam;
+                let follower = follower.write(Follower::new(model.own(), beam, None, None));
+                stages(model, follower, &mut open(c"sound.raw"));
+                count(recurrent_place.write(Stream::new(model, settings)), &mut sound);
+            }
+            AnyModel::Likelihood(model) => {
+                count(likelihood_place.write(Stream::new(model, settings)), &mut sound);
+            }
         }
-        println!("bytes stream {}", size_of::<Stream>());
-        println!("bytes memory_stream {}", size_of::<MemoryStream>());
+        println!("bytes stream {}", size_of::<LikelihoodStream>());
+        println!("bytes memory_stream {}", size_of::<RecurrentStream>());
         process::exit(0)
     }
 
     /// Every hop of the sound.
-    fn count<const TOKENS: usize, const FRAMES: usize>(
-        stream: &mut Stream<TOKENS, FRAMES>,
-        sound: &mut File,
-    ) {
+    fn count<'m, K: Kind<'m>>(stream: &mut Stream<'m, K>, sound: &mut File) {
         let (mut hops, mut spent, mut active, mut most) = (0u32, Spent::default(), 0u64, 0);
         while let Some(samples) = next_hop(sound) {
             spent.begin();

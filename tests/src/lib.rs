@@ -1,4 +1,4 @@
-//! Cases that run both on the host and in QEMU (`core/tests/shared_cases.rs`, `tests/tests/target.rs`).
+//! Cases that run both on the host and in QEMU (`tests/tests/shared_cases.rs`, `tests/tests/target.rs`).
 //!
 //! A case is a function without arguments that panics when it fails. To add one: write it in the module of its
 //! stage and name it in [`cases!`]. `no_std`: data comes in with `include_bytes!`.
@@ -33,11 +33,12 @@ macro_rules! cases {
             stream {
                 same_bytes_everywhere,
                 feedback_gives_the_same_bytes_everywhere,
+                a_recurrent_model_gives_the_same_bytes_everywhere,
                 cuts_do_not_matter,
                 a_reset_stream_is_a_new_one,
                 a_sound_shorter_than_a_window_gives_nothing,
                 extremes,
-                the_vector_moves,
+                the_vectors_move,
             }
             wire {
                 reference_crc_check_value,
@@ -49,6 +50,7 @@ macro_rules! cases {
                 random_bytes,
                 random_payloads,
                 refusals_name_their_reason,
+                unknown_messages_are_told_from_damage,
             }
         }
     };

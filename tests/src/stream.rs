@@ -1,10 +1,9 @@
 //! The whole stream, samples to parameter frames: the same bytes on the host and in QEMU.
 //!
-//! The model is small and random, the sound is made of integers; `cargo run -p lipstream-tests --example bless_vectors`
-//! writes both vectors anew.
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{Settings, Stream};
+//! The models, one a kind, are small and random, the sound is made of integers; `cargo run -p lipstream-tests --example
+//! bless_vectors` writes all vectors anew.
+use lipstream_core::kinds::Kind;
+use lipstream_core::{Likelihood, Model, ParameterFrame, Recurrent, Stream, StreamSettings};
 
 use crate::random::Random;
 
@@ -15,11 +14,16 @@ pub static FRAMES: &[u8] = include_bytes!("../vectors/stream/small.frames");
 /// The same with the mouth re-estimated inside the lag window, see [`with_feedback`].
 pub static FEEDBACK_FRAMES: &[u8] = include_bytes!("../vectors/stream/feedback.frames");
 
+/// Tables of a small recurrent model of random numbers.
+pub static RECURRENT_TABLES: &[u8] = include_bytes!("../vectors/model/small-recurrent.tables");
+/// Every frame of [`Sound`] from it.
+pub static RECURRENT_FRAMES: &[u8] = include_bytes!("../vectors/stream/small-recurrent.frames");
+
 /// EM inside the lag window, exponent 1/4.
-pub fn with_feedback() -> Settings {
-    Settings {
+pub fn with_feedback() -> StreamSettings {
+    StreamSettings {
         feedback: Some(1 << 14),
-        ..Settings::default()
+        ..StreamSettings::default()
     }
 }
 
@@ -75,13 +79,13 @@ pub fn write(frame: &ParameterFrame, mut byte: impl FnMut(u8)) {
     let values = frame.values.iter().flat_map(|v| v.to_le_bytes());
     words
         .chain(values)
-        .chain(frame.viseme_weights)
+        .chain(frame.viseme_weights.iter().copied())
         .for_each(&mut byte);
 }
 
 /// Runs `sound` through `stream`, `cut` samples at a time, at most 1,024.
-pub fn run(
-    stream: &mut Stream,
+pub fn run<'m, K: Kind<'m>>(
+    stream: &mut Stream<'m, K>,
     mut sound: impl Iterator<Item = i16>,
     cut: usize,
     mut on_frame: impl FnMut(&ParameterFrame),
@@ -112,11 +116,11 @@ pub fn run(
 }
 
 /// Checks that [`Sound`] gives the frames of the vector.
-fn check(stream: &mut Stream, cut: usize) {
+fn check<'m>(stream: &mut Stream<'m, Likelihood<'m>>, cut: usize) {
     check_against(FRAMES, stream, cut);
 }
 
-fn check_against(frames: &[u8], stream: &mut Stream, cut: usize) {
+fn check_against<'m, K: Kind<'m>>(frames: &[u8], stream: &mut Stream<'m, K>, cut: usize) {
     let mut expected = frames.iter();
     run(stream, Sound::new(), cut, |frame| {
         write(frame, |byte| {
@@ -127,29 +131,49 @@ fn check_against(frames: &[u8], stream: &mut Stream, cut: usize) {
     assert_eq!(expected.next(), None, "frames are missing, cut {cut}");
 }
 
+fn likelihood() -> Model<'static, Likelihood<'static>> {
+    Model::new_checked(TABLES).expect("the vector is a likelihood-trained model")
+}
+
+fn recurrent() -> Model<'static, Recurrent<'static>> {
+    Model::new_checked(RECURRENT_TABLES).expect("the vector is a recurrent model")
+}
+
 pub fn same_bytes_everywhere() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
-    check(&mut Stream::new(&model, Settings::default()), 160);
+    let model = likelihood();
+    check(&mut Stream::new(&model, StreamSettings::default()), 160);
 }
 
 pub fn feedback_gives_the_same_bytes_everywhere() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let model = likelihood();
     let mut stream = Stream::new(&model, with_feedback());
     check_against(FEEDBACK_FRAMES, &mut stream, 160);
     // Once more on the same stream, cut otherwise.
     check_against(FEEDBACK_FRAMES, &mut stream, 399);
 }
 
+pub fn a_recurrent_model_gives_the_same_bytes_everywhere() {
+    let model = recurrent();
+    let mut stream = Stream::new(&model, StreamSettings::default());
+    // Once more on the same stream after its end, cut otherwise.
+    for cut in [160, 1, 399, 1024] {
+        check_against(RECURRENT_FRAMES, &mut stream, cut);
+    }
+    stream.push(&[9_999; 700]);
+    stream.reset();
+    check_against(RECURRENT_FRAMES, &mut stream, 160);
+}
+
 pub fn cuts_do_not_matter() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    let model = likelihood();
     for cut in [1, 7, 399, 400, 1024] {
-        check(&mut Stream::new(&model, Settings::default()), cut);
+        check(&mut Stream::new(&model, StreamSettings::default()), cut);
     }
 }
 
 pub fn a_reset_stream_is_a_new_one() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
-    let mut stream = Stream::new(&model, Settings::default());
+    let model = likelihood();
+    let mut stream = Stream::new(&model, StreamSettings::default());
     run(&mut stream, Sound::new().skip(5_000).take(7_000), 333, |_| {});
     // Samples after `finish` start a new stream by themselves.
     check(&mut stream, 160);
@@ -159,8 +183,8 @@ pub fn a_reset_stream_is_a_new_one() {
 }
 
 pub fn a_sound_shorter_than_a_window_gives_nothing() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
-    let mut stream = Stream::new(&model, Settings::default());
+    let model = likelihood();
+    let mut stream = Stream::new(&model, StreamSettings::default());
     for length in [0, 1, 399] {
         run(&mut stream, Sound::new().take(length), 160, |frame| {
             panic!("{frame:?}")
@@ -174,7 +198,11 @@ pub fn a_sound_shorter_than_a_window_gives_nothing() {
 
 /// Silence, full scale and impulses: every frame comes, weights add up.
 pub fn extremes() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
+    survives_extremes(&likelihood());
+    survives_extremes(&recurrent());
+}
+
+fn survives_extremes<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {
     let sounds: [fn(usize) -> i16; 5] = [
         |_| 0,
         |_| i16::MAX,
@@ -188,7 +216,7 @@ pub fn extremes() {
         },
         |n| if n % 1_000 == 999 { i16::MIN } else { 0 },
     ];
-    let mut stream = Stream::new(&model, Settings::default());
+    let mut stream = Stream::new(model, StreamSettings::default());
     for (i, sound) in sounds.into_iter().enumerate() {
         let mut frames = 0;
         run(&mut stream, (0..400 + 60 * 160).map(sound), 160, |frame| {
@@ -201,10 +229,14 @@ pub fn extremes() {
     }
 }
 
-/// The vector says something: values and visemes change.
-pub fn the_vector_moves() {
-    let model = Model::new_checked(TABLES).expect("the vector is a model");
-    let mut stream = Stream::new(&model, Settings::default());
+/// The vectors say something: values and visemes change.
+pub fn the_vectors_move() {
+    moves(&likelihood());
+    moves(&recurrent());
+}
+
+fn moves<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {
+    let mut stream = Stream::new(model, StreamSettings::default());
     let mut last = 0;
     let mut changes = 0;
     run(&mut stream, Sound::new(), 160, |frame| {

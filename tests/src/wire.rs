@@ -1,5 +1,5 @@
 //! The wire format against an encoder written here from its specification, and against damage of every kind.
-use lipstream_core::parameters::N_VISEMES;
+use lipstream_core::frame::{MAX_GROUPS, N_VISEMES, VisemeWeights};
 use lipstream_core::wire::*;
 
 use crate::random::Random;
@@ -97,12 +97,19 @@ fn payload(message: &Either) -> Bytes {
         Either::ToHost(ToHost::Hello(hello)) => {
             out.extend(&[0, hello.protocol]);
             varint(&mut out, hello.model);
+            varint(&mut out, hello.rate_hz.into());
+            varint(&mut out, hello.lag_samples.into());
+            out.push(hello.visemes);
+            varint(&mut out, hello.groups.len() as u32);
+            for group in &hello.groups {
+                varint(&mut out, group.name.len() as u32);
+                out.extend(group.name.as_bytes());
+                out.push(group.size);
+            }
             varint(&mut out, hello.scales.len() as u32);
             for scale in &hello.scales {
                 out.extend(&scale.to_le_bytes());
             }
-            varint(&mut out, hello.rate_hz.into());
-            varint(&mut out, hello.lag_samples.into());
         }
         Either::ToHost(ToHost::Frame(frame)) => {
             out.push(1);
@@ -117,6 +124,7 @@ fn payload(message: &Either) -> Bytes {
                 };
                 varint(&mut out, zigzag as u32);
             }
+            varint(&mut out, frame.viseme_weights.len() as u32);
             out.extend(&frame.viseme_weights);
         }
         Either::ToHost(ToHost::Status(status)) => {
@@ -125,9 +133,11 @@ fn payload(message: &Either) -> Bytes {
             varint(&mut out, status.overruns);
             varint(&mut out, status.dropped);
             varint(&mut out, status.narrowed);
+            varint(&mut out, status.unknown);
         }
         Either::ToDevice(ToDevice::Start) => out.push(0),
         Either::ToDevice(ToDevice::Stop) => out.push(1),
+        Either::ToDevice(ToDevice::Hello { protocol }) => out.extend(&[4, *protocol]),
         Either::ToDevice(ToDevice::Profile(profile)) => out.extend(&[
             2,
             match profile {
@@ -148,19 +158,54 @@ fn payload(message: &Either) -> Bytes {
     out
 }
 
-fn hello(n_parameters: usize) -> Either<'static> {
+fn hello(n_parameters: usize, n_groups: usize) -> Either<'static> {
+    // The last group takes what the others leave.
+    let size = |i: usize| match n_groups - 1 - i {
+        0 => n_parameters - (n_groups - 1),
+        _ => 1,
+    };
+    let groups = (0..n_groups).map(|i| Group {
+        name: ["mouth", "face", "jaw", "eyebrows"][i].try_into().unwrap(),
+        size: size(i) as u8,
+    });
     Either::ToHost(ToHost::Hello(Hello {
         protocol: PROTOCOL,
         model: 0xfeed_0001,
-        scales: (0..n_parameters).map(|i| 0.25 + i as f32).collect(),
         rate_hz: 100,
         lag_samples: 1000,
+        visemes: (N_VISEMES * (n_groups % 2)) as u8,
+        groups: groups.collect(),
+        scales: (0..n_parameters).map(|i| 0.25 + i as f32).collect(),
+    }))
+}
+
+/// The largest `Hello` that there is.
+fn largest_hello() -> Either<'static> {
+    let names = ["mouthabc", "faceabcd", "jawabcde", "eyebrows"];
+    Either::ToHost(ToHost::Hello(Hello {
+        protocol: PROTOCOL,
+        model: u32::MAX,
+        rate_hz: u16::MAX,
+        lag_samples: u16::MAX,
+        visemes: N_VISEMES as u8,
+        groups: names
+            .map(|name| Group {
+                name: name.try_into().unwrap(),
+                size: 16,
+            })
+            .into_iter()
+            .collect(),
+        scales: (0..64).map(|i| 0.25 + i as f32).collect(),
     }))
 }
 
 fn parameters(sequence: u32, n: usize, random: &mut Random) -> Either<'static> {
-    let mut viseme_weights = [0; N_VISEMES];
-    viseme_weights[sequence as usize % N_VISEMES] = 255;
+    let mut viseme_weights = VisemeWeights::new();
+    // Some models have no visemes.
+    if n != 3 {
+        let _ = viseme_weights.resize(N_VISEMES, 0);
+        viseme_weights[sequence as usize % N_VISEMES] = 255;
+    }
     Either::ToHost(ToHost::Frame(Frame {
         sequence,
         sample: sequence.wrapping_mul(160).wrapping_add(200),
@@ -172,8 +217,12 @@ fn parameters(sequence: u32, n: usize, random: &mut Random) -> Either<'static> {
 /// Calls `check` with messages of every kind: small ones, the largest ones, full of zeros and without any.
 fn for_messages(mut check: impl FnMut(&Either)) {
     let mut random = Random::new(1);
+    check(&largest_hello());
     for n in [0, 1, 3, 63, 64] {
-        check(&hello(n));
+        if n > 0 {
+            check(&hello(n, n.min(MAX_GROUPS)));
+            check(&hello(n, 1));
+        }
         for sequence in [0, 1, 127, 128, 4000, u32::MAX] {
             check(&parameters(sequence, n, &mut random));
         }
@@ -184,10 +233,12 @@ fn for_messages(mut check: impl FnMut(&Either)) {
             overruns,
             dropped: overruns / 3,
             narrowed: overruns / 7,
+            unknown: overruns / 11,
         })));
     }
     check(&Either::ToDevice(ToDevice::Start));
     check(&Either::ToDevice(ToDevice::Stop));
+    check(&Either::ToDevice(ToDevice::Hello { protocol: PROTOCOL }));
     for profile in [Profile::Live, Profile::Standard, Profile::Studio] {
         check(&Either::ToDevice(ToDevice::Profile(profile)));
     }
@@ -345,7 +396,7 @@ pub fn corruption() {
 /// next zero.
 pub fn random_bytes() {
     let mut random = Random::new(7);
-    let message = hello(3);
+    let message = hello(3, 2);
     let encoded = frame(payload(&message).as_slice());
     for round in 0..300 {
         let mut receiver = Receiver::new();
@@ -379,7 +430,7 @@ pub fn random_payloads() {
     let mut messages = 0;
     for _ in 0..20_000 {
         let mut bytes = Bytes::new();
-        bytes.push(random.below(5) as u8);
+        bytes.push(random.below(6) as u8);
         for _ in 0..random.below(60) {
             bytes.push(if random.below(2) == 0 {
                 random.below(20) as u8
@@ -432,12 +483,13 @@ pub fn refusals_name_their_reason() {
         let outcome = outcome_at_host(frame(other).as_slice());
         assert_eq!(outcome, Err(WireError::Protocol { theirs: 9 }));
     }
-    // Bytes left over, an unknown message, a short one, a number too long for its type.
+    let other_host = error_at_device(frame(&[4, 9, 7]).as_slice());
+    assert_eq!(other_host, Some(WireError::Protocol { theirs: 9 }));
+    // Bytes left over, a short one, a number too long for its type, nothing at all.
     for bad in [
-        &[2, 0, 0, 0, 0, 0][..],
-        &[3],
+        &[2, 0, 0, 0, 0, 0, 0][..],
         &[2, 0],
-        &[2, 0xff, 0xff, 0xff, 0, 0],
+        &[2, 0xff, 0xff, 0xff, 0, 0, 0],
         &[],
     ] {
         assert_eq!(
@@ -446,12 +498,41 @@ pub fn refusals_name_their_reason() {
             "{bad:?}"
         );
     }
-    // 65 scales.
+    // Protocol, model 0, rate 0, lag 0, visemes 13, one group; then what is wrong with it.
+    for (tail, what) in [
+        (
+            &[5, b'm', b'o', b'u', b't', b'h', 2, 1, 0, 0, 0, 0][..],
+            "2 parameters, 1 scale",
+        ),
+        (&[5, b'M', b'o', b'u', b't', b'h', 1, 1, 0, 0, 0, 0], "a capital"),
+        (&[0, 1, 1, 0, 0, 0, 0], "no name"),
+        (
+            &[
+                9, b'm', b'o', b'u', b't', b'h', b'm', b'o', b'u', b't', 1, 1, 0, 0, 0, 0,
+            ],
+            "a long name",
+        ),
+        (&[2, 0xff, 0xfe, 1, 1, 0, 0, 0, 0], "no text"),
+    ] {
+        let mut hello = Bytes::new();
+        hello.extend(&[0, PROTOCOL, 0, 0, 0, 13, 1]);
+        hello.extend(tail);
+        let outcome = outcome_at_host(frame(hello.as_slice()).as_slice());
+        assert_eq!(outcome, Err(WireError::Malformed), "{what}");
+    }
+    // 65 scales; 14 viseme weights.
     let mut hello = Bytes::new();
-    hello.extend(&[0, PROTOCOL, 0, 65]);
-    hello.extend(&[0; 65 * 4 + 2]);
+    hello.extend(&[0, PROTOCOL, 0, 0, 0, 13, 1, 1, b'm', 65, 65]);
+    hello.extend(&[0; 65 * 4]);
     assert_eq!(
         outcome_at_host(frame(hello.as_slice()).as_slice()),
+        Err(WireError::Malformed)
+    );
+    let mut weights = Bytes::new();
+    weights.extend(&[1, 0, 0, 0, 14]);
+    weights.extend(&[0; 14]);
+    assert_eq!(
+        outcome_at_host(frame(weights.as_slice()).as_slice()),
         Err(WireError::Malformed)
     );
     // Half a sample; 161 samples.
@@ -474,4 +555,36 @@ pub fn refusals_name_their_reason() {
     assert_eq!(outcome_at_host(&[2, 5, 0]), Err(WireError::Cut));
     assert_eq!(outcome_at_host(&[9, 5, 0]), Err(WireError::Cut));
     assert_eq!(outcome_at_host(&[4, 5, 6, 7, 0]), Err(WireError::Damaged));
+}
+
+/// A whole message of a number that nobody has yet is skipped by name; the same number damaged is damage.
+pub fn unknown_messages_are_told_from_damage() {
+    for (payload, number) in [
+        (&[3][..], 3),
+        (&[5, 1, 2, 3], 5),
+        (&[0x80, 1, 9], 0x80),
+        (&[255; 40], 255),
+    ] {
+        let mut bytes = frame(payload);
+        assert_eq!(
+            outcome_at_host(bytes.as_slice()),
+            Err(WireError::Unknown { number })
+        );
+        // 3 is the host's `Pcm`.
+        let at_device = match number {
+            3 => WireError::Malformed,
+            _ => WireError::Unknown { number },
+        };
+        assert_eq!(error_at_device(bytes.as_slice()), Some(at_device));
+        bytes.bytes[1] ^= 0x10;
+        assert_eq!(outcome_at_host(bytes.as_slice()), Err(WireError::Damaged));
+        // The next message arrives.
+        let mut receiver = Receiver::new();
+        let whole = frame(payload);
+        receive(&mut receiver, &hello(3, 1), whole.as_slice(), |outcome| {
+            assert!(outcome.is_err());
+        });
+        let next = frame(self::payload(&hello(3, 1)).as_slice());
+        arrives(&mut receiver, &hello(3, 1), next.as_slice());
+    }
 }

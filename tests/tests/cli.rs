@@ -5,8 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use common::program::{program, refuse, run, succeed};
-use lipstream_core::model::Model;
-use lipstream_core::stream::Settings;
+use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
 const COMMANDS: [&str; 10] = [
     "align", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "render", "train",
@@ -153,9 +152,9 @@ fn export_and_convert() {
         "the program exports other tables than the library"
     );
 
-    let model = Model::new_checked(&tables).unwrap();
-    let frames = common::host_frames(&model, Settings::default(), &common::hello());
-    let scales: Vec<f32> = model.parameter_scales().collect();
+    let model = AnyModel::new_checked(&tables).unwrap();
+    let frames = common::host_frames(&model, StreamSettings::default(), &common::hello());
+    let scales: Vec<f32> = model.head().parameter_scales().collect();
     for source in ["model.tables", "model.safetensors"] {
         succeed(&folder, &["convert", &hello, "-m", source, "-o", "out.npy"]);
         let converted: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.join("out.npy")).unwrap();
@@ -222,7 +221,8 @@ fn a_budget_chooses_the_beam() {
             ],
         );
         let tables = std::fs::read(folder.join("fit.tables")).unwrap();
-        let beam = Model::new_checked(&tables).unwrap().beam().q12() >> 12;
+        let model = Model::<Recurrent>::new_checked(&tables).unwrap();
+        let beam = model.own().settings().beam.q12() >> 12;
         assert!(said.contains(&format!("beam {beam} bits: 181.1 KiB")), "{said}");
         assert_eq!(said.matches(": chosen\n").count(), 1, "{said}");
         beam

@@ -5,11 +5,9 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 
 use common::qemu::{Machine, build_firmware, bytes, pcm, run_on_file};
-use lipstream::link::{Link, Losses};
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream::link::{Link, Losses, greeting};
 use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToDevice, ToHost, encode};
+use lipstream_core::{AnyModel, AnyStream, ParameterFrame, StreamSettings};
 
 struct Firmware {
     program: PathBuf,
@@ -55,14 +53,9 @@ fn assert_same(device: &[Vec<u8>], host: &[Vec<u8>]) {
     assert_eq!(device.len(), host.len());
 }
 
-fn expected_hello(model: &Model, settings: Settings) -> Hello {
-    Hello {
-        protocol: PROTOCOL,
-        model: model.id(),
-        scales: model.parameter_scales().collect(),
-        rate_hz: 100,
-        lag_samples: Stream::new(model, settings).delay_samples() as u16,
-    }
+fn expected_hello(model: &AnyModel, settings: StreamSettings) -> Hello {
+    let lag = AnyStream::new(model, settings).delay_samples();
+    Hello::new(model.head(), model.n_visemes(), 100, lag as u16)
 }
 
 fn is_status(message: &ToHost) -> bool {
@@ -75,12 +68,12 @@ const SHORT: usize = 24_000;
 #[test]
 fn uart_gives_the_hosts_bytes() {
     let firmware = firmware();
-    let model = Model::new_checked(&firmware.tables).unwrap();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
     let samples = &common::hello()[..];
-    let host = host(&model, Settings::of(Profile::Standard), samples);
+    let host = host(&model, StreamSettings::of(Profile::Standard), samples);
 
     let mut machine = Machine::boot(&firmware.program);
-    let mut link = Link::new(Some(model.id()));
+    let mut link = Link::new(Some(model.head().id()));
     let mut line = bytes(ToDevice::Start);
     line.extend(pcm(samples, 160).concat());
     line.extend(bytes(ToDevice::Stop));
@@ -91,7 +84,7 @@ fn uart_gives_the_hosts_bytes() {
     });
 
     assert_same(&frames(&messages), &host);
-    let hello = ToHost::Hello(expected_hello(&model, Settings::of(Profile::Standard)));
+    let hello = ToHost::Hello(expected_hello(&model, StreamSettings::of(Profile::Standard)));
     assert_eq!(messages[0], hello);
     assert_eq!(
         messages.iter().filter(|message| **message == hello).count(),
@@ -106,7 +99,7 @@ fn uart_gives_the_hosts_bytes() {
     assert_eq!(link.losses(), Losses::default());
 }
 
-fn host(model: &Model, settings: Settings, samples: &[i16]) -> Vec<Vec<u8>> {
+fn host(model: &AnyModel, settings: StreamSettings, samples: &[i16]) -> Vec<Vec<u8>> {
     encoded(&common::host_frames(model, settings, samples))
 }
 
@@ -118,7 +111,7 @@ fn until_status(machine: &mut Machine, line: Vec<u8>, link: &mut Link) -> Vec<To
 #[test]
 fn profiles_and_restarts() {
     let firmware = firmware();
-    let model = Model::new_checked(&firmware.tables).unwrap();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
     let samples = &common::hello()[4000..][..SHORT / 2];
     let mut machine = Machine::boot(&firmware.program);
     let mut link = Link::new(None);
@@ -130,9 +123,12 @@ fn profiles_and_restarts() {
         let messages = until_status(&mut machine, line, &mut link);
         assert_eq!(
             messages[0],
-            ToHost::Hello(expected_hello(&model, Settings::of(profile)))
+            ToHost::Hello(expected_hello(&model, StreamSettings::of(profile)))
         );
-        assert_same(&frames(&messages), &host(&model, Settings::of(profile), samples));
+        assert_same(
+            &frames(&messages),
+            &host(&model, StreamSettings::of(profile), samples),
+        );
     }
     // Start keeps the profile.
     let mut line = bytes(ToDevice::Start);
@@ -141,17 +137,17 @@ fn profiles_and_restarts() {
     let messages = until_status(&mut machine, line, &mut link);
     assert_same(
         &frames(&messages),
-        &host(&model, Settings::of(Profile::Live), samples),
+        &host(&model, StreamSettings::of(Profile::Live), samples),
     );
     let lags = [Profile::Live, Profile::Standard, Profile::Studio]
-        .map(|profile| expected_hello(&model, Settings::of(profile)).lag_samples);
+        .map(|profile| expected_hello(&model, StreamSettings::of(profile)).lag_samples);
     assert!(lags.is_sorted() && lags[0] < lags[2], "{lags:?}");
 }
 
 #[test]
 fn damage_on_the_way_to_the_device_is_counted_and_survived() {
     let firmware = firmware();
-    let model = Model::new_checked(&firmware.tables).unwrap();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
     let samples = &common::hello()[..SHORT / 2];
     let mut machine = Machine::boot(&firmware.program);
     let mut link = Link::new(None);
@@ -186,13 +182,65 @@ fn damage_on_the_way_to_the_device_is_counted_and_survived() {
         .collect();
     assert_same(
         &frames(&messages),
-        &host(&model, Settings::of(Profile::Standard), &arrived),
+        &host(&model, StreamSettings::of(Profile::Standard), &arrived),
     );
+}
+
+/// A device says who it is when it is asked, to hosts of every protocol; it refuses those of another, and skips what it does not know.
+#[test]
+fn hello_can_be_asked_for_and_unknown_messages_are_counted() {
+    let firmware = firmware();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
+    let hello = ToHost::Hello(expected_hello(&model, StreamSettings::of(Profile::Standard)));
+    let mut machine = Machine::boot(&firmware.program);
+    let mut link = Link::new(Some(model.head().id()));
+    let messages = machine.talk(greeting(), &mut link, |messages| !messages.is_empty());
+    assert_eq!(messages, std::slice::from_ref(&hello));
+    // Message 9 between the sound, its CRC right: counted, and nothing is lost.
+    let samples = &common::hello()[..SHORT / 4];
+    let unknown = with_crc(9);
+    let mut line = bytes(ToDevice::Start);
+    for part in pcm(samples, 160) {
+        line.extend(part);
+        line.extend(&unknown);
+    }
+    line.extend(bytes(ToDevice::Stop));
+    let messages = until_status(&mut machine, line, &mut link);
+    let settings = StreamSettings::of(Profile::Standard);
+    assert_same(&frames(&messages), &host(&model, settings, samples));
+    let status = messages.iter().rev().find_map(|message| match message {
+        ToHost::Status(status) => Some((status.unknown, status.overruns)),
+        _ => None,
+    });
+    assert_eq!(status, Some((samples.len().div_ceil(160) as u32, 0)));
+    // A host of another protocol in the middle of a stream: who the device is, and no frames any more.
+    let mut line = bytes(ToDevice::Start);
+    line.extend(bytes(ToDevice::Hello {
+        protocol: PROTOCOL + 1,
+    }));
+    line.extend(pcm(samples, 160).concat());
+    line.extend(bytes(ToDevice::Stop));
+    line.extend(greeting());
+    let messages = machine.talk(line, &mut link, |messages| messages.len() == 3);
+    assert_eq!(messages, [hello.clone(), hello.clone(), hello]);
+    assert_eq!(link.losses(), Losses::default());
+}
+
+/// The message of this number and no fields as one frame.
+fn with_crc(number: u8) -> Vec<u8> {
+    let mut crc = 0xffff_u16 ^ (u16::from(number) << 8);
+    for _ in 0..8 {
+        let carry = crc & 0x8000 != 0;
+        crc = (crc << 1) ^ if carry { 0x1021 } else { 0 };
+    }
+    let [low, high] = crc.to_le_bytes();
+    assert!(low != 0 && high != 0, "no COBS code inside");
+    vec![4, number, low, high, 0]
 }
 
 /// Speech, silence, full-scale square wave, noise, speech much too loud: the firmware's bytes are the host's.
 fn check_on_files(name: &str, firmware: &Firmware) {
-    let model = Model::new_checked(&firmware.tables).unwrap();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
     let speech = common::hello();
     let mut samples = speech.clone();
     samples.extend([0; 8000]);
@@ -201,15 +249,15 @@ fn check_on_files(name: &str, firmware: &Firmware) {
     samples.extend((0..8000).map(|_| random.next_u32() as i16));
     samples.extend(speech.iter().map(|sample| sample.saturating_mul(20)));
     let (sent, said) = run_on_file(&firmware.program, &common::folder(name), &samples);
-    let mut link = Link::new(Some(model.id()));
+    let mut link = Link::new(Some(model.head().id()));
     let mut messages = Vec::new();
     link.push(&sent, |message| messages.push(message)).unwrap();
     assert_eq!(link.losses(), Losses::default());
     assert_same(
         &frames(&messages),
-        &host(&model, Settings::of(Profile::Standard), &samples),
+        &host(&model, StreamSettings::of(Profile::Standard), &samples),
     );
-    let (_, narrowed) = common::host_run(&model, Settings::of(Profile::Standard), &samples);
+    let (_, narrowed) = common::host_run(&model, StreamSettings::of(Profile::Standard), &samples);
     let status = Status {
         narrowed,
         ..Status::default()
@@ -273,17 +321,20 @@ fn ten_minutes_of_speech_give_the_hosts_bytes() {
         .take(LENGTH)
         .collect();
     let firmware = firmware();
-    let model = Model::new_checked(&firmware.tables).unwrap();
+    let model = AnyModel::new_checked(&firmware.tables).unwrap();
     let (sent, _) = run_on_file(
         &firmware.program,
         &common::folder("firmware-ten-minutes"),
         &samples,
     );
-    let mut link = Link::new(Some(model.id()));
+    let mut link = Link::new(Some(model.head().id()));
     let mut messages = Vec::new();
     link.push(&sent, |message| messages.push(message)).unwrap();
     assert_eq!(link.losses(), Losses::default());
     let device = frames(&messages);
     assert_eq!(device.len(), (LENGTH - 400) / 160 + 1);
-    assert_same(&device, &host(&model, Settings::of(Profile::Standard), &samples));
+    assert_same(
+        &device,
+        &host(&model, StreamSettings::of(Profile::Standard), &samples),
+    );
 }

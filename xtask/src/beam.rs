@@ -1,7 +1,6 @@
 //! Active joint states per frame against the width of the beam: `beam TABLES WAV...`.
 use lipstream_core::logmath::LogProb;
-use lipstream_core::model::Model;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::{AnyModel, AnyStream, StreamSettings};
 use lipstream_media::sound;
 
 pub(crate) fn run(words: &[String]) -> anyhow::Result<()> {
@@ -10,17 +9,17 @@ pub(crate) fn run(words: &[String]) -> anyhow::Result<()> {
         anyhow::bail!("usage: beam TABLES WAV...");
     };
     let bytes = std::fs::read(tables)?;
-    let model = Model::new_checked(&bytes)?;
+    let model = AnyModel::new_checked(&bytes)?;
     let sounds = args
         .map(|path| sound::read(path.as_ref()).map(|s| s.samples))
         .collect::<anyhow::Result<Vec<_>>>()?;
     println!("beam (bits)  active: mean  largest  frames at the cap");
     for bits in [8, 10, 12, 14, 16, 18, 20, 24, 28] {
-        let settings = Settings {
+        let settings = StreamSettings {
             beam: Some(LogProb::from_q12(bits << 12)),
-            ..Settings::default()
+            ..StreamSettings::default()
         };
-        let mut stream = Stream::new(&model, settings);
+        let mut stream = AnyStream::new(&model, settings);
         let (mut sum, mut frames, mut largest, mut capped) = (0, 0, 0, 0);
         for samples in &sounds {
             let mut rest = &samples[..];
@@ -30,8 +29,8 @@ pub(crate) fn run(words: &[String]) -> anyhow::Result<()> {
                 sum += active;
                 frames += 1;
                 largest = largest.max(active);
-                capped += usize::from(active == lipstream_core::stream::TOKENS);
             }
+            capped += stream.narrowed();
             while stream.finish().is_some() {}
         }
         println!(

@@ -8,7 +8,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use lipstream::engine::{stream, stream_sized};
+use lipstream::engine::{Converted, converted, stream};
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Lag, convert};
@@ -16,11 +16,11 @@ use lipstream::kinds::recurrent::live;
 use lipstream::kinds::recurrent::log_sums::Sums;
 use lipstream::kinds::recurrent::model::MgeModel;
 use lipstream::tensors::Tensors;
+use lipstream_core::hmm::search::MAX_BEAM;
 use lipstream_core::hmm::transition::MAX_JOINT_STATES;
+use lipstream_core::kinds::{Convert, Kind, likelihood, recurrent};
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
-use lipstream_core::model::Model as Tables;
-use lipstream_core::model::field::limit;
-use lipstream_core::stream::{FRAMES, Settings, TOKENS};
+use lipstream_core::{AnyModel, Likelihood, Model as Tables, Recurrent, Stream, StreamSettings};
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::evaluate::{Truth, truths};
 use lipstream_make::features::{FeatureFolder, Split};
@@ -66,6 +66,24 @@ fn bits(bits: i32) -> Option<LogProb> {
     Some(LogProb::from_q12(bits << FRACTION_BITS))
 }
 
+/// A whole sound through a stream of another size than a device's.
+fn sized<'m, K: Kind<'m>, C: Convert<'m, K>>(
+    tables: &AnyModel,
+    model: &'m Tables<'m, K>,
+    mut sound: &[i16],
+    settings: StreamSettings,
+) -> Result<Converted> {
+    let mut stream = Stream::<K, C>::sized(model, settings);
+    let mut frames = Vec::new();
+    while !sound.is_empty() {
+        let (taken, frame) = stream.push(sound);
+        sound = &sound[taken..];
+        frames.extend(frame);
+    }
+    frames.extend(std::iter::from_fn(|| stream.finish()));
+    converted(tables, frames)
+}
+
 /// Room for every joint state that there can be.
 const ALL: usize = MAX_JOINT_STATES;
 
@@ -79,16 +97,19 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
         let said: Vec<_> = said.collect::<Result<_>>()?;
         show(name, judged(clips, said.iter().map(|(parameters, _)| parameters)));
     }
-    let tables = export(model, &ExportSettings::of(model))?.bytes;
-    let tables = Tables::new_checked(&tables)?;
-    let none = LogProb::from_q12(limit::BEAM);
+    let bytes = export(model, &ExportSettings::of(model))?.bytes;
+    let tables = AnyModel::new_checked(&bytes)?;
+    let roomy = Tables::<Likelihood>::new_checked(&bytes)?;
+    let none = LogProb::from_q12(MAX_BEAM);
     let device = |room: usize, beam: Option<LogProb>| -> Result<Score> {
-        let settings = Settings {
+        let settings = StreamSettings {
             beam,
-            ..Settings::default()
+            ..StreamSettings::default()
         };
         let said = sounds.par_iter().map(|sound| match room {
-            ALL => stream_sized::<ALL, FRAMES>(&tables, sound, settings),
+            ALL => sized::<_, likelihood::Converter<ALL, { likelihood::FRAMES }>>(
+                &tables, &roomy, sound, settings,
+            ),
             _ => stream(&tables, sound, settings),
         });
         let said: Vec<_> = said.collect::<Result<_>>()?;
@@ -98,7 +119,10 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
     for width in [32, 24, 20, 16] {
         show(&format!("… {width} bits"), device(ALL, bits(width))?);
     }
-    show("as exported, and its room: the device", device(TOKENS, None)?);
+    show(
+        "as exported, and its room: the device",
+        device(likelihood::TOKENS, None)?,
+    );
     Ok(())
 }
 
@@ -127,52 +151,56 @@ fn of_mge(model: &MgeModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> 
     for bits in [8, 7, 6, 5, 4] {
         show(&format!("{bits} bits"), score(&rounded(model, bits), 0, false));
     }
-    let tables = export_mge(model, &MgeSettings::default())?.bytes;
-    let tables = Tables::new_checked(&tables)?;
-    let all = Settings {
+    let bytes = export_mge(model, &MgeSettings::default())?.bytes;
+    let tables = AnyModel::new_checked(&bytes)?;
+    let roomy = Tables::<Recurrent>::new_checked(&bytes)?;
+    let all = StreamSettings {
         most: Some(u16::MAX),
         phones: Some(u16::MAX),
         settle: Some(false),
-        ..Settings::default()
+        ..StreamSettings::default()
     };
     let steps = [
         (
             "integers, beam of 40 bits",
-            Settings {
+            StreamSettings {
                 beam: bits(40),
                 ..all
             },
         ),
         (
             "… of 20 bits",
-            Settings {
+            StreamSettings {
                 beam: bits(20),
                 ..all
             },
         ),
         (
             "… of 14 bits",
-            Settings {
+            StreamSettings {
                 beam: bits(14),
                 ..all
             },
         ),
         ("… as exported", all),
-        ("… and its bound on states", Settings { most: None, ..all }),
+        ("… and its bound on states", StreamSettings { most: None, ..all }),
         (
             "… and on phones",
-            Settings {
+            StreamSettings {
                 most: None,
                 phones: None,
                 ..all
             },
         ),
-        ("… and settled: the device", Settings::default()),
+        ("… and settled: the device", StreamSettings::default()),
     ];
     for (name, settings) in steps {
-        let said = sounds
-            .iter()
-            .map(|sound| Ok(stream(&tables, sound, settings)?.parameters));
+        // Room for as many joint states as a likelihood-trained model's stream has; the bound is the settings'.
+        let said = sounds.iter().map(|sound| {
+            let said =
+                sized::<_, recurrent::Converter<{ likelihood::TOKENS }>>(&tables, &roomy, sound, settings)?;
+            Ok(said.parameters)
+        });
         let said: Vec<_> = said.collect::<Result<_>>()?;
         show(name, judged(clips, &said));
     }

@@ -98,7 +98,7 @@ impl Bins {
 }
 
 /// Lets the best of a number of scores in, whole bins from the best down, of the last bin those that come first.
-pub(super) struct Door {
+pub(crate) struct Door {
     best: LogProb,
     last_bin: usize,
     /// Scores of the last bin that still fit.
@@ -107,13 +107,13 @@ pub(super) struct Door {
 
 impl Door {
     /// At most `most` of `scores`, of which `best` is the best.
-    pub(super) fn new(best: LogProb, scores: impl Iterator<Item = LogProb>, most: usize) -> Self {
+    pub(crate) fn new(best: LogProb, scores: impl Iterator<Item = LogProb>, most: usize) -> Self {
         let mut bins = Bins::new(best);
         scores.for_each(|score| bins.add(score));
         bins.door(most)
     }
 
-    pub(super) fn lets_in(&mut self, score: LogProb) -> bool {
+    pub(crate) fn lets_in(&mut self, score: LogProb) -> bool {
         let bin = bin(self.best, score);
         if bin == self.last_bin && self.room > 0 {
             self.room -= 1;

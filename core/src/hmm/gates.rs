@@ -1,16 +1,19 @@
 //! Occupancies as numbers, and the states that speak in a frame: the [`N_GATES`] largest of those that reach
 //! [`LEAST_OCCUPANCY`], scaled to sum 1.
+use super::transition::{N_EMITTING, N_VISUAL_STATES};
+use crate::frame::{N_VISEMES, VisemeWeights};
 use crate::logmath::LINEAR_FRACTION_BITS;
-use crate::model::field::{N_EMITTING, N_VISUAL_STATES};
-use crate::parameters::N_VISEMES;
 
 /// States of a chain that take part in one frame, at most.
 pub const N_GATES: usize = 6;
 /// Least occupancy that takes part, Q0.16: 1/64.
 pub const LEAST_OCCUPANCY: u32 = 1 << 10;
 
-/// Divides `sums`, each at most `total` < 2²⁷, by `total`: Q0.16. By its upper 16 bits: relative error 2⁻¹⁵, and 32-bit
-/// divisions only. Where the total is 0 they are.
+/// Turns sums of weights into occupancies: divides each of `sums` by `total` (which none of them exceeds, below 2²⁷) and leaves the
+/// shares as Q0.16. If `total` is 0, all shares are 0.
+///
+/// Cortex-M divides 32-bit numbers in hardware but 64-bit ones by a slow routine, so only the upper 16 bits of the total are divided
+/// by. That makes a share wrong by a factor of up to 1 + 2⁻¹⁵.
 pub fn share(sums: &mut [u32], total: u32) {
     let up = total.leading_zeros();
     let divisor = total.checked_shl(up).unwrap_or(0) >> LINEAR_FRACTION_BITS;
@@ -22,7 +25,7 @@ pub fn share(sums: &mut [u32], total: u32) {
     }
 }
 
-/// The occupancies that take part in a frame: visual state and weight, Q0.16.
+/// The states of one chain that take part in a frame, and their weights, Q0.16.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Gates(heapless::Vec<(u8, u32), N_GATES>);
 
@@ -52,26 +55,27 @@ impl Gates {
         Self(gates)
     }
 
+    /// State and weight of each, largest first.
     pub fn iter(&self) -> impl Iterator<Item = (usize, u32)> + '_ {
         self.0.iter().map(|g| (usize::from(g.0), g.1))
     }
 }
 
 /// Occupancies of the visemes from those of their states (Q0.16), 255 = 1.
-pub fn viseme_weights(occupancy: &[u32; N_VISUAL_STATES]) -> [u8; N_VISEMES] {
+pub fn viseme_weights(occupancy: &[u32; N_VISUAL_STATES]) -> VisemeWeights {
     let mut weights = [0; N_VISEMES];
     for (to, states) in weights.iter_mut().zip(occupancy.as_chunks::<N_EMITTING>().0) {
         // At most 2¹⁶ + 5, times 255.
         let sum: u32 = states.iter().sum();
         *to = ((sum * 255 + (1 << 15)) >> 16).min(255) as u8;
     }
-    weights
+    VisemeWeights::from_array(weights)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::hmm::lag::MAX_AUDIO_STATES;
+    use crate::hmm::transition::MAX_AUDIO_STATES;
 
     #[test]
     fn gates_are_the_largest_in_order() {

@@ -3,20 +3,20 @@
 //!
 //! Tokens stand in increasing order of their joint state, so those of one phone are side by side; what leaves a
 //! phone is added up first and spread over the bigram once.
-use super::beam::Door;
+use super::tables::HmmTables;
 use super::transition::{
-    AUDIO, BOTH, JointState, MAX_JOINT_STATES, MOUTH_LEADS, MOUTH_SLOT, N_CHOICES, N_EMITTING, N_PAIRS,
-    PHONE_STATES, SOUND_LEADS, SOUND_SLOT, STAY, VISUAL, pair,
+    AUDIO, BOTH, JointState, MAX_JOINT_STATES, MAX_PHONES, MOUTH_LEADS, MOUTH_SLOT, N_CHOICES, N_EMITTING,
+    N_PAIRS, PHONE_STATES, SOUND_LEADS, SOUND_SLOT, STAY, VISUAL, pair,
 };
+use crate::frame::N_VISEMES;
 use crate::logmath::LogProb;
-use crate::model::Model;
-use crate::model::field::limit;
-use crate::parameters::N_VISEMES;
 
 /// One active joint state and its forward score relative to the frame's best: log2, Q7.8.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Token {
+    /// The joint state.
     pub state: JointState,
+    /// Its score.
     pub score: i16,
 }
 
@@ -30,6 +30,7 @@ pub struct Scores {
 }
 
 impl Scores {
+    /// Nothing has arrived anywhere.
     #[inline(always)]
     pub const fn new() -> Self {
         Self {
@@ -38,6 +39,7 @@ impl Scores {
         }
     }
 
+    /// The value of a joint state; [`LogProb::NEVER`] where nothing has arrived.
     #[inline]
     pub fn get(&self, state: JointState) -> LogProb {
         self.value.get(state.index()).copied().unwrap_or(LogProb::NEVER)
@@ -145,20 +147,21 @@ impl Default for Scores {
 /// The phones of each viseme.
 #[derive(Clone, Debug)]
 pub struct PhonesByViseme {
-    phones: [u8; limit::PHONES],
+    phones: [u8; MAX_PHONES],
     /// `phones[first[m]..first[m + 1]]` look like viseme m.
     first: [u8; N_VISEMES + 1],
 }
 
 impl PhonesByViseme {
-    pub fn new(model: &Model) -> Self {
+    /// Of the model's phones.
+    pub fn new(hmm: &HmmTables) -> Self {
         let mut out = Self {
-            phones: [0; limit::PHONES],
+            phones: [0; MAX_PHONES],
             first: [0; N_VISEMES + 1],
         };
         let mut n = 0;
         for viseme in 0..N_VISEMES {
-            for phone in (0..model.n_phones()).filter(|p| model.viseme(*p) == viseme) {
+            for phone in (0..hmm.n_phones()).filter(|p| hmm.viseme(*p) == viseme) {
                 if let Some(to) = out.phones.get_mut(n) {
                     *to = phone as u8;
                     n += 1;
@@ -221,8 +224,8 @@ const fn inside() -> [[u8; N_CHOICES]; N_PAIRS] {
 }
 
 /// Adds to `scores` what each joint state begins with.
-pub fn begin(model: &Model, scores: &mut Scores) {
-    for (phone, initial) in model.initial().iter().enumerate() {
+pub fn begin(hmm: &HmmTables, scores: &mut Scores) {
+    for (phone, initial) in hmm.initial().iter().enumerate() {
         let initial = LogProb::from_table(initial);
         if !initial.is_never() {
             scores.add(JointState::new(phone, 0), initial);
@@ -230,31 +233,9 @@ pub fn begin(model: &Model, scores: &mut Scores) {
     }
 }
 
-/// log2 13: a model with a memory may begin in any pair of a phone.
-const PAIRS_LOG: LogProb = LogProb::from_q12(15_157);
-
-/// Adds to `scores` what each joint state begins with in a model with a memory: it was trained on pieces of speech, and
-/// begins anywhere inside a phone.
-pub fn begin_anywhere(model: &Model, most: usize, scores: &mut Scores) {
-    let initial = || model.initial().iter().map(LogProb::from_table);
-    let Some(best) = initial().max() else {
-        return;
-    };
-    let mut door = Door::new(best, initial(), most);
-    for (phone, initial) in initial().enumerate() {
-        let stays = door.lets_in(initial);
-        let initial = initial.over(PAIRS_LOG);
-        if stays && !initial.is_never() {
-            for pair in 0..N_PAIRS {
-                scores.add(JointState::new(phone, pair), initial);
-            }
-        }
-    }
-}
-
 /// Adds to `scores` what arrives in each joint state from `tokens`. An arc that brings less than `floor` is left out.
 pub fn forward(
-    model: &Model,
+    hmm: &HmmTables,
     phones: &PhonesByViseme,
     tokens: &[Token],
     floor: LogProb,
@@ -276,7 +257,7 @@ pub fn forward(
             rest = after;
             let score = LogProb::from_score(token.score);
             if let Some(destinations) = INSIDE.get(slot) {
-                for (choice, &to) in model.choices(phone, slot).iter().zip(destinations) {
+                for (choice, &to) in hmm.choices(phone, slot).iter().zip(destinations) {
                     let arrives = score.times(*choice);
                     if arrives < floor {
                         continue;
@@ -290,14 +271,14 @@ pub fn forward(
                     }
                 }
             } else if slot < SOUND_SLOT {
-                let choices = model.choices(phone, MOUTH_LEADS);
+                let choices = hmm.choices(phone, MOUTH_LEADS);
                 add_above(scores, token.state, score.times(choices[STAY]), floor);
                 let viseme = slot - MOUTH_SLOT;
-                let score = score.over(LogProb::from_table(model.viseme_bigram(phone).get(viseme)));
+                let score = score.over(LogProb::from_table(hmm.viseme_bigram(phone).get(viseme)));
                 let (audio, both) = (score.times(choices[AUDIO]), score.times(choices[BOTH]));
                 for &next in phones.of(viseme) {
                     let next = usize::from(next);
-                    let bigram = LogProb::from_table(model.bigram(phone).get(next));
+                    let bigram = LogProb::from_table(hmm.bigram(phone).get(next));
                     add_above(
                         scores,
                         JointState::new(next, pair(0, 0)),
@@ -312,7 +293,7 @@ pub fn forward(
                     );
                 }
             } else {
-                let choices = model.choices(phone, SOUND_LEADS);
+                let choices = hmm.choices(phone, SOUND_LEADS);
                 add_above(scores, token.state, score.times(choices[STAY]), floor);
                 let visual = JointState::new(phone, pair(0, 0));
                 add_above(scores, visual, score.times(choices[VISUAL]), floor);
@@ -321,8 +302,8 @@ pub fn forward(
             }
         }
         if sound >= floor || both >= floor {
-            let slot = SOUND_SLOT + model.viseme(phone);
-            for (next, bigram) in model.bigram(phone).iter().enumerate() {
+            let slot = SOUND_SLOT + hmm.viseme(phone);
+            for (next, bigram) in hmm.bigram(phone).iter().enumerate() {
                 let bigram = LogProb::from_table(bigram);
                 add_above(scores, JointState::new(next, slot), sound.times(bigram), floor);
                 add_above(
@@ -334,7 +315,7 @@ pub fn forward(
             }
         }
         if mouth >= floor {
-            for (viseme, sum) in model.viseme_bigram(phone).iter().enumerate() {
+            for (viseme, sum) in hmm.viseme_bigram(phone).iter().enumerate() {
                 let arrives = mouth.times(LogProb::from_table(sum));
                 add_above(
                     scores,
@@ -357,7 +338,7 @@ fn add_above(scores: &mut Scores, state: JointState, value: LogProb, floor: LogP
 /// The backward sum: `worth(i, β)` for every token, where β = Σ over its arcs of P(arc)·`future`(target), and
 /// `future` holds emission times β of the next frame's joint states.
 pub fn backward(
-    model: &Model,
+    hmm: &HmmTables,
     phones: &PhonesByViseme,
     tokens: &[Token],
     future: &Scores,
@@ -387,24 +368,24 @@ pub fn backward(
             }
         };
         if let Some(destinations) = INSIDE.get(slot) {
-            for (choice, &to) in model.choices(phone, slot).iter().zip(destinations) {
+            for (choice, &to) in hmm.choices(phone, slot).iter().zip(destinations) {
                 let value = match to {
                     NOWHERE => continue,
-                    TO_SOUND_LEADS => border.sound(model, future),
-                    TO_MOUTH_LEADS => border.mouth(model, future),
-                    TO_NEXT => border.both(model, future),
+                    TO_SOUND_LEADS => border.sound(hmm, future),
+                    TO_MOUTH_LEADS => border.mouth(hmm, future),
+                    TO_NEXT => border.both(hmm, future),
                     pair => future.get(JointState::new(phone, usize::from(pair))),
                 };
                 arc(*choice, value);
             }
         } else if slot < SOUND_SLOT {
-            let choices = model.choices(phone, MOUTH_LEADS);
+            let choices = hmm.choices(phone, MOUTH_LEADS);
             arc(choices[STAY], future.get(token.state));
             let viseme = slot - MOUTH_SLOT;
-            let total = LogProb::from_table(model.viseme_bigram(phone).get(viseme));
+            let total = LogProb::from_table(hmm.viseme_bigram(phone).get(viseme));
             for &next in phones.of(viseme) {
                 let next = usize::from(next);
-                let bigram = LogProb::from_table(model.bigram(phone).get(next)).over(total);
+                let bigram = LogProb::from_table(hmm.bigram(phone).get(next)).over(total);
                 arc(
                     choices[AUDIO].times(bigram),
                     future.get(JointState::new(next, pair(0, 0))),
@@ -415,7 +396,7 @@ pub fn backward(
                 );
             }
         } else {
-            let choices = model.choices(phone, SOUND_LEADS);
+            let choices = hmm.choices(phone, SOUND_LEADS);
             arc(choices[STAY], future.get(token.state));
             arc(choices[VISUAL], future.get(JointState::new(phone, pair(0, 0))));
             arc(choices[BOTH], future.get(JointState::new(phone, pair(1, 0))));
@@ -433,26 +414,26 @@ struct Border {
 }
 
 impl Border {
-    fn sound(&mut self, model: &Model, future: &Scores) -> LogProb {
+    fn sound(&mut self, hmm: &HmmTables, future: &Scores) -> LogProb {
         let phone = self.phone;
         *self.sound.get_or_insert_with(|| {
-            let slot = SOUND_SLOT + model.viseme(phone);
-            spread(model, phone, future, slot)
+            let slot = SOUND_SLOT + hmm.viseme(phone);
+            spread(hmm, phone, future, slot)
         })
     }
 
-    fn both(&mut self, model: &Model, future: &Scores) -> LogProb {
+    fn both(&mut self, hmm: &HmmTables, future: &Scores) -> LogProb {
         let phone = self.phone;
         *self
             .both
-            .get_or_insert_with(|| spread(model, phone, future, pair(0, 0)))
+            .get_or_insert_with(|| spread(hmm, phone, future, pair(0, 0)))
     }
 
-    fn mouth(&mut self, model: &Model, future: &Scores) -> LogProb {
+    fn mouth(&mut self, hmm: &HmmTables, future: &Scores) -> LogProb {
         let phone = self.phone;
         *self.mouth.get_or_insert_with(|| {
             let mut sum = LogProb::NEVER;
-            for (viseme, total) in model.viseme_bigram(phone).iter().enumerate() {
+            for (viseme, total) in hmm.viseme_bigram(phone).iter().enumerate() {
                 let value = future.get(JointState::new(phone, MOUTH_SLOT + viseme));
                 if !value.is_never() {
                     sum = sum.plus(LogProb::from_table(total).times(value));
@@ -464,9 +445,9 @@ impl Border {
 }
 
 /// Σ B(p'|phone) · future of (p', slot).
-fn spread(model: &Model, phone: usize, future: &Scores, slot: usize) -> LogProb {
+fn spread(hmm: &HmmTables, phone: usize, future: &Scores, slot: usize) -> LogProb {
     let mut sum = LogProb::NEVER;
-    for (next, bigram) in model.bigram(phone).iter().enumerate() {
+    for (next, bigram) in hmm.bigram(phone).iter().enumerate() {
         let value = future.get(JointState::new(next, slot));
         if !value.is_never() {
             sum = sum.plus(LogProb::from_table(bigram).times(value));

@@ -1,4 +1,4 @@
-//! Joint states of the ph-vi coupled HMM over a phone loop, and where each of them may go (X&L eq. 19).
+//! Joint states of the ph-vi coupled HMM over a phone loop, and where each of them may go (Xie & Liu 2007 (X&L), eq. 19).
 //!
 //! The audio chain walks phones, the visual chain visemes, five states each, written 1..5 here as in the paper
 //! and 0..4 in the code. Along the unrolled path the two chains are never more than one state apart, across
@@ -22,12 +22,18 @@
 //! | (p,5)×(m',1) mouth leads | itself | (p',1)×(m',1) with B(p'\|p)/V(m'\|p), vis(p') = m' | - | (p',1)×(m',2), likewise |
 //! | (p',1)×(m,5) sound leads | itself | - | (p',1)×(vis(p'),1) | (p',2)×(vis(p'),1) |
 //!
-//! An utterance begins in (p,1)×(m,1) with the initial probability of p, in a model with a memory in any pair of p with a
-//! thirteenth of it; it may end anywhere.
-use crate::parameters::N_VISEMES;
+//! An utterance begins in (p,1)×(m,1) with the initial probability of p (in a recurrent model in any pair of p with a thirteenth of
+//! it); it may end anywhere.
+use crate::frame::N_VISEMES;
 
-pub use crate::model::field::N_EMITTING;
-use crate::model::field::limit;
+/// States of a phone or viseme.
+pub const N_EMITTING: usize = 5;
+/// Most phones of a model.
+pub const MAX_PHONES: usize = 48;
+/// Audio states of the largest model: 5 · phone + i.
+pub const MAX_AUDIO_STATES: usize = N_EMITTING * MAX_PHONES;
+/// Visual states: 5 · viseme + j.
+pub const N_VISUAL_STATES: usize = N_EMITTING * N_VISEMES;
 
 /// Pairs (i, j) inside a phone.
 pub const N_PAIRS: usize = 13;
@@ -46,6 +52,7 @@ pub const AUDIO: usize = 1;
 pub const VISUAL: usize = 2;
 /// Both chains advance.
 pub const BOTH: usize = 3;
+/// Choices of a joint state.
 pub const N_CHOICES: usize = 4;
 
 /// Joint states that belong to one phone: 13 pairs, then mouth leads into each viseme, then sound leads from each.
@@ -55,28 +62,32 @@ pub const MOUTH_SLOT: usize = N_PAIRS;
 /// First sound-leads slot; slot = this + m.
 pub const SOUND_SLOT: usize = N_PAIRS + N_VISEMES;
 /// Joint states of the largest model.
-pub const MAX_JOINT_STATES: usize = PHONE_STATES * limit::PHONES;
+pub const MAX_JOINT_STATES: usize = PHONE_STATES * MAX_PHONES;
 
 /// A joint state: 39 · phone + slot, where slot is the pair, 13 + m' (mouth leads) or 26 + m (sound leads).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct JointState(pub u16);
 
 impl JointState {
+    /// The joint state of a phone and a slot.
     #[inline]
     pub const fn new(phone: usize, slot: usize) -> Self {
         Self((phone * PHONE_STATES + slot) as u16)
     }
 
+    /// The phone of its audio state.
     #[inline]
     pub const fn phone(self) -> usize {
         self.0 as usize / PHONE_STATES
     }
 
+    /// Its slot among the phone's joint states.
     #[inline]
     pub const fn slot(self) -> usize {
         self.0 as usize % PHONE_STATES
     }
 
+    /// Its place among all joint states.
     #[inline]
     pub const fn index(self) -> usize {
         self.0 as usize
@@ -110,9 +121,11 @@ pub const fn pair(audio: usize, visual: usize) -> usize {
 /// The audio and visual states (0-based) of a slot, and its transition class.
 #[derive(Clone, Copy)]
 pub struct Slot {
+    /// 0-based state of the phone.
     pub audio: u8,
     /// 0-based state of whichever viseme the mouth is in.
     pub visual: u8,
+    /// Transition class.
     pub class: u8,
 }
 

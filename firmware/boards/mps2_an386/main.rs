@@ -11,9 +11,7 @@ mod board;
 use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
-use lipstream_core::model::Model;
-#[cfg(model_with_memory)]
-use lipstream_core::stream;
+use lipstream_core::Model;
 use lipstream_firmware::{App, Line};
 use semihosting::experimental::env;
 use semihosting::fs::File;
@@ -22,14 +20,13 @@ use semihosting::{println, process};
 use static_cell::StaticCell;
 
 static TABLES: &[u8] = include_bytes!(env!("LIPSTREAM_TABLES_FILE"));
-static MODEL: StaticCell<Model<'static>> = StaticCell::new();
+static MODEL: StaticCell<DeviceModel> = StaticCell::new();
 static APP: StaticCell<DeviceApp> = StaticCell::new();
 
-/// The application with as much room as the model needs.
-#[cfg(model_with_memory)]
-type DeviceApp = App<'static, Wire, Counter, { stream::MEMORY_TOKENS }, { stream::MEMORY_FRAMES }>;
-#[cfg(not(model_with_memory))]
-type DeviceApp = App<'static, Wire, Counter>;
+// `Kind`, as `firmware/build.rs` found it in the tables.
+include!(concat!(env!("OUT_DIR"), "/kind.rs"));
+type DeviceModel = Model<'static, Kind>;
+type DeviceApp = App<'static, Kind, Wire, Counter>;
 
 const INPUT: &CStr = c"input.pcm";
 const OUTPUT: &CStr = c"output.wire";
@@ -68,11 +65,11 @@ impl Line for Wire {
 
 /// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
 #[inline(never)]
-fn make_app(model: &'static Model<'static>, wire: Wire, counter: Counter) -> &'static mut DeviceApp {
+fn make_app(model: &'static DeviceModel, wire: Wire, counter: Counter) -> &'static mut DeviceApp {
     APP.init_with(|| App::new(model, wire, counter))
 }
 
-fn on_uart(model: &'static Model<'static>) -> ! {
+fn on_uart(model: &'static DeviceModel) -> ! {
     let (sender, receiver) = board::uart0();
     let app = make_app(model, Wire::Uart(sender), Counter::Running);
     loop {
@@ -104,7 +101,7 @@ impl FileLine {
     }
 }
 
-fn on_files(model: &'static Model<'static>) -> ! {
+fn on_files(model: &'static DeviceModel) -> ! {
     let (Ok(mut input), Ok(file)) = (File::open(INPUT), File::create(OUTPUT)) else {
         fail(format_args!("cannot open {INPUT:?} or make {OUTPUT:?}"));
     };

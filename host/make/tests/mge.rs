@@ -12,10 +12,10 @@ use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate};
 use lipstream::kinds::recurrent::settle::settle;
 use lipstream::kinds::recurrent::step::Net;
 use lipstream::synthetic::{self, Sizes};
-use lipstream_core::hmm::converter::{Converter, Settings as ConverterSettings};
+use lipstream_core::kinds::Convert;
+use lipstream_core::kinds::recurrent::Converter;
 use lipstream_core::logmath::LogProb;
-use lipstream_core::model::Model as Tables;
-use lipstream_core::parameters::ParameterFrame;
+use lipstream_core::{Model as Tables, ParameterFrame, StreamSettings};
 use lipstream_make::mge::data::{Clip, Data};
 use lipstream_make::mge::judge::{centred, judge};
 use lipstream_make::mge::pass::{Masks, Tape};
@@ -303,14 +303,14 @@ fn a_file_gives_the_model_back() {
 fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16, settles: bool) -> Vec<ParameterFrame> {
     let tables = Tables::new_checked(tables).unwrap();
     // Without beam and bound: what is compared is the arithmetic.
-    let settings = ConverterSettings {
+    let settings = StreamSettings {
         beam: Some(LogProb::from_q12(60 << 12)),
         most: Some(384),
         look_ahead: Some(look_ahead),
         settle: Some(settles),
-        ..ConverterSettings::default()
+        ..StreamSettings::default()
     };
-    let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
+    let mut converter = Box::new(Converter::<384>::new(&tables, settings));
     let mut out = Vec::new();
     for row in statics.rows() {
         let row: [i16; 13] = std::array::from_fn(|i| row[i]);

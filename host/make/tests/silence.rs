@@ -3,9 +3,7 @@
 use lipstream::engine::stream;
 use lipstream::mouth::MouthSpace;
 use lipstream::tensors::Tensors;
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::{AnyModel, AnyStream, ParameterFrame, StreamSettings};
 use lipstream_make::evaluate::gap::Lips;
 use lipstream_media::sound;
 use ndarray::{Array2, Array4};
@@ -46,8 +44,8 @@ fn motion(said: &Array2<f32>) -> Vec<f32> {
 }
 
 /// `sound` through the device's stream.
-fn say(sound: &[i16], settings: Settings) -> Array2<f32> {
-    let tables = Model::new_checked(TABLES).unwrap();
+fn say(sound: &[i16], settings: StreamSettings) -> Array2<f32> {
+    let tables = AnyModel::new_checked(TABLES).unwrap();
     stream(&tables, sound, settings).unwrap().parameters
 }
 
@@ -55,9 +53,9 @@ fn say(sound: &[i16], settings: Settings) -> Array2<f32> {
 fn watch(sound: &[i16]) -> Mouth {
     let tensors = Tensors::parse(MODEL, "the shipped model").unwrap();
     let space = MouthSpace::load(&tensors).unwrap();
-    let said_in_speech = say(&speech(), Settings::default());
+    let said_in_speech = say(&speech(), StreamSettings::default());
     let lips = Lips::learn(images(&space, &said_in_speech).view()).expect("lips in the drawn mouth");
-    let said = say(sound, Settings::default());
+    let said = say(sound, StreamSettings::default());
     Mouth {
         gap: lips
             .gaps(images(&space, &said).view())
@@ -143,9 +141,9 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
             } else {
                 "after speech"
             };
-            let unsettled = Settings {
+            let unsettled = StreamSettings {
                 settle: Some(false),
-                ..Settings::default()
+                ..StreamSettings::default()
             };
             let unsettled = motion(&say(&[before, &sound].concat(), unsettled));
             println!(
@@ -166,9 +164,9 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
 /// Ten minutes of noise whose level jumps: a frame each 10 ms to the end, and a stream that is as new after `reset`.
 #[test]
 fn ten_minutes_of_noise_leave_a_stream_as_good_as_new() {
-    let tables = Model::new_checked(TABLES).unwrap();
+    let tables = AnyModel::new_checked(TABLES).unwrap();
     let speech = speech();
-    let run = |stream: &mut Stream, samples: &[i16]| -> Vec<ParameterFrame> {
+    let run = |stream: &mut AnyStream, samples: &[i16]| -> Vec<ParameterFrame> {
         let (mut rest, mut said) = (samples, Vec::new());
         while !rest.is_empty() {
             let (taken, frame) = stream.push(rest);
@@ -177,7 +175,7 @@ fn ten_minutes_of_noise_leave_a_stream_as_good_as_new() {
         }
         said
     };
-    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    let mut stream = Box::new(AnyStream::new(&tables, StreamSettings::default()));
     let fresh = run(&mut stream, &speech);
     stream.reset();
     let rng = &mut Pcg64::seed_from_u64(9);

@@ -2,11 +2,14 @@
 use std::path::Path;
 
 use anyhow::{Context, Result, bail, ensure};
+use lipstream_core::hmm::search::MAX_BEAM;
+use lipstream_core::kinds::likelihood::FRAMES;
+use lipstream_core::kinds::likelihood::tables::MAX_ACOUSTIC_SCALE;
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
-use lipstream_core::model::Model as Tables;
-use lipstream_core::model::field::{MAGIC, limit};
-use lipstream_core::stream::{FRAMES, Settings, Stream, TOKENS};
+use lipstream_core::model::container::MAGIC;
+use lipstream_core::settings::Setting;
 use lipstream_core::wire::Profile;
+use lipstream_core::{AnyModel as Tables, AnyStream, ParameterFrame, StreamSettings};
 use ndarray::{Array2, Axis};
 
 use crate::export::{ExportSettings, MgeSettings, export, export_mge};
@@ -17,7 +20,6 @@ use crate::kinds::likelihood::{EmSettings, Model};
 use crate::kinds::recurrent::live;
 use crate::kinds::recurrent::model::MgeModel;
 use crate::kinds::recurrent::settle::settle;
-use crate::phones::VISEMES;
 use crate::reference::{self, Normalisation};
 use crate::tensors::Tensors;
 use lipstream_media::files;
@@ -116,11 +118,14 @@ impl Engine {
             Self::Fixed(tables) => {
                 let tables = Tables::new_checked(tables)?;
                 ensure!(
-                    with.feedback.is_none() || tables.has_visual_densities(),
+                    with.feedback.is_none() || tables.understands(Setting::Feedback),
                     "the tables have no visual densities to re-estimate the mouth with: give the model that they were exported \
                      from, or export it with --visual-densities"
                 );
-                ensure!(with.settle.is_none() || tables.is_recurrent(), NO_SETTLING);
+                ensure!(
+                    with.settle.is_none() || tables.understands(Setting::Settle),
+                    NO_SETTLING
+                );
                 stream(&tables, samples, core_settings(with)?)
             }
             Self::Float(model) => {
@@ -151,7 +156,7 @@ impl Engine {
                 let start_mean = std::array::from_fn(|i| model.twin.start_mean[i]);
                 let observations = reference::observations(samples, Normalisation::Causal { start_mean });
                 let own = model.parameters.shape.context.look_ahead();
-                let ahead = with.profile.and_then(|p| Settings::of(p).look_ahead);
+                let ahead = with.profile.and_then(|p| StreamSettings::of(p).look_ahead);
                 let mut said =
                     live::convert_within(model, observations.view(), ahead.map_or(own, usize::from));
                 if with.settle.unwrap_or(true) {
@@ -183,7 +188,7 @@ fn live_em(model: &Model, observations: &Array2<f32>, lag: usize, exponent: f64)
 }
 
 /// Settings for the core, refused in words where it would hold them to its limits.
-pub fn core_settings(with: &RunSettings) -> Result<Settings> {
+pub fn core_settings(with: &RunSettings) -> Result<StreamSettings> {
     if let Some(lag) = with.lag {
         ensure!(
             usize::from(lag) < FRAMES,
@@ -194,7 +199,7 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
     let beam = with.beam_bits.map(|bits| {
         let q12 = bits * f64::from(1 << FRACTION_BITS);
         ensure!(
-            q12 >= 1.0 && q12 <= f64::from(limit::BEAM),
+            q12 >= 1.0 && q12 <= f64::from(MAX_BEAM),
             "a beam of {bits} bits is out of range"
         );
         Ok(LogProb::from_q12(q12 as i32))
@@ -202,13 +207,13 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
     let feedback = with.feedback.map(|exponent| {
         let q16 = exponent * 65536.0;
         ensure!(
-            (0.0..=f64::from(limit::ACOUSTIC_SCALE)).contains(&q16),
+            (0.0..=f64::from(MAX_ACOUSTIC_SCALE)).contains(&q16),
             "an exponent of {exponent} is out of range: 0 to 4"
         );
         Ok(q16.round() as u32)
     });
-    let own = with.profile.map_or(Settings::default(), Settings::of);
-    Ok(Settings {
+    let own = with.profile.map_or(StreamSettings::default(), StreamSettings::of);
+    Ok(StreamSettings {
         feedback: feedback.transpose()?,
         lag: with.lag.or(own.lag),
         beam: beam.transpose()?,
@@ -218,35 +223,28 @@ pub fn core_settings(with: &RunSettings) -> Result<Settings> {
 }
 
 /// A whole sound through the device's own stream.
-pub fn stream(tables: &Tables, samples: &[i16], settings: Settings) -> Result<Converted> {
-    stream_sized::<{ TOKENS }, { FRAMES }>(tables, samples, settings)
-}
-
-/// [`stream`] with room for so many active joint states and frames.
-pub fn stream_sized<const TOKENS: usize, const FRAMES: usize>(
-    tables: &Tables,
-    samples: &[i16],
-    settings: Settings,
-) -> Result<Converted> {
-    let mut stream = Stream::<TOKENS, FRAMES>::sized(tables, settings);
-    let scales: Vec<f32> = tables.parameter_scales().collect();
-    let mut parameters = Array2::zeros((0, scales.len()));
-    let mut visemes = Array2::zeros((0, VISEMES.len()));
+pub fn stream(tables: &Tables, samples: &[i16], settings: StreamSettings) -> Result<Converted> {
+    let mut stream = AnyStream::new(tables, settings);
     let mut rest = samples;
-    loop {
-        let frame = if rest.is_empty() {
-            let Some(frame) = stream.finish() else {
-                break;
-            };
-            Some(frame)
-        } else {
+    let frames = std::iter::from_fn(|| {
+        while !rest.is_empty() {
             let (consumed, frame) = stream.push(rest);
             rest = &rest[consumed..];
-            frame
-        };
-        let Some(frame) = frame else {
-            continue;
-        };
+            if frame.is_some() {
+                return frame;
+            }
+        }
+        stream.finish()
+    });
+    converted(tables, frames)
+}
+
+/// What the frames of a stream of these tables say, in real units.
+pub fn converted(tables: &Tables, frames: impl IntoIterator<Item = ParameterFrame>) -> Result<Converted> {
+    let scales: Vec<f32> = tables.head().parameter_scales().collect();
+    let mut parameters = Array2::zeros((0, scales.len()));
+    let mut visemes = Array2::zeros((0, tables.n_visemes()));
+    for frame in frames {
         let values = frame.values.iter().zip(&scales);
         let row: ndarray::Array1<f32> = values.map(|(v, scale)| f32::from(*v) * scale).collect();
         parameters.push(Axis(0), row.view())?;

@@ -1,5 +1,7 @@
 //! The host's end of the line: bytes from a device in, messages and a count of losses out (`docs/wire.md`).
-use lipstream_core::wire::{Frame, Hello, PROTOCOL, Receiver, ToHost, WireError};
+use lipstream_core::wire::{
+    Frame, Hello, MAX_ENCODED, PROTOCOL, Receiver, ToDevice, ToHost, WireError, encode,
+};
 use thiserror::Error;
 
 /// Why the device at the other end is of no use.
@@ -23,10 +25,20 @@ pub struct Losses {
     /// Stretches between two zero bytes that were no message. The first after opening is usually one: the line is
     /// opened in the middle of a frame.
     pub damaged: u64,
+    /// Whole messages of a number that this program's protocol does not have: skipped.
+    pub unknown: u64,
     /// Frames that came before a `Hello` told how to read them.
     pub unread: u64,
     /// Times that the sequence began anew: `Start`, or a reset of the device.
     pub restarts: u64,
+}
+
+/// What a host sends first: which protocol it speaks, and that the device should say who it is. A device answers in whatever
+/// protocol it speaks, so that one of another version is named at once; devices of protocol 2 and before say it only after `Start`.
+pub fn greeting() -> Vec<u8> {
+    let mut buffer = [0; MAX_ENCODED];
+    let hello = ToDevice::Hello { protocol: PROTOCOL };
+    encode(&hello, &mut buffer).map_or_else(|_| Vec::new(), |bytes| bytes.to_vec())
 }
 
 /// One device's stream of bytes.
@@ -63,7 +75,8 @@ impl Link {
     }
 
     /// Takes bytes as they came, cut anywhere, and hands over every message that they complete. Frames are handed
-    /// over only after a `Hello`, and only when they have as many parameters as it says.
+    /// over only after a `Hello`, and only when they have as many parameters and viseme weights as it says. Messages that are unknown
+    /// are skipped and counted.
     pub fn push(&mut self, bytes: &[u8], mut on_message: impl FnMut(ToHost)) -> Result<(), LinkError> {
         for &byte in bytes {
             match self.receiver.push(byte) {
@@ -71,6 +84,7 @@ impl Link {
                 Some(Ok(message)) if self.accept(&message)? => on_message(message),
                 Some(Ok(_)) => {}
                 Some(Err(WireError::Protocol { theirs })) => return Err(LinkError::Protocol { theirs }),
+                Some(Err(WireError::Unknown { .. })) => self.losses.unknown += 1,
                 Some(Err(_)) => self.losses.damaged += 1,
             }
         }
@@ -100,7 +114,7 @@ impl Link {
             self.losses.unread += 1;
             return false;
         };
-        if frame.parameters.len() != hello.scales.len() {
+        if !frame.fits(hello) {
             self.losses.damaged += 1;
             return false;
         }
@@ -121,7 +135,7 @@ impl Link {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lipstream_core::wire::{MAX_ENCODED, Status, encode};
+    use lipstream_core::wire::{Group, Status};
 
     fn bytes(message: &ToHost) -> Vec<u8> {
         encode(message, &mut [0; MAX_ENCODED]).unwrap().to_vec()
@@ -131,9 +145,16 @@ mod tests {
         ToHost::Hello(Hello {
             protocol: PROTOCOL,
             model,
-            scales: (0..n_parameters).map(|_| 0.5).collect(),
             rate_hz: 100,
             lag_samples: 1000,
+            visemes: 13,
+            groups: [Group {
+                name: "mouth".try_into().unwrap(),
+                size: n_parameters as u8,
+            }]
+            .into_iter()
+            .collect(),
+            scales: (0..n_parameters).map(|_| 0.5).collect(),
         })
     }
 
@@ -142,7 +163,7 @@ mod tests {
             sequence,
             sample: sequence.wrapping_mul(160).wrapping_add(200),
             parameters: (0..n_parameters).map(|i| i as i16 * 100).collect(),
-            viseme_weights: [0; lipstream_core::parameters::N_VISEMES],
+            viseme_weights: [0; 13].into_iter().collect(),
         })
     }
 
@@ -235,6 +256,102 @@ mod tests {
         received(&mut link, &bytes(&hello(5, 3)));
         assert_eq!(received(&mut link, &bytes(&frame(0, 4))), []);
         assert_eq!(link.losses().damaged, 1);
+        let ToHost::Frame(mut without_visemes) = frame(0, 3) else {
+            unreachable!()
+        };
+        without_visemes.viseme_weights.clear();
+        assert_eq!(received(&mut link, &bytes(&ToHost::Frame(without_visemes))), []);
+        assert_eq!(link.losses().damaged, 2);
+    }
+
+    #[test]
+    fn a_model_without_visemes_gives_frames_without() {
+        let (ToHost::Hello(mut hello), ToHost::Frame(mut frame)) = (hello(5, 3), frame(0, 3)) else {
+            unreachable!()
+        };
+        hello.visemes = 0;
+        frame.viseme_weights.clear();
+        let messages = [ToHost::Hello(hello), ToHost::Frame(frame)];
+        let line: Vec<u8> = messages.iter().flat_map(bytes).collect();
+        assert_eq!(received(&mut Link::new(None), &line), messages);
+    }
+
+    /// A payload as one frame on the line.
+    fn framed(payload: &[u8]) -> Vec<u8> {
+        // CRC-16/IBM-3740, bit by bit.
+        let mut crc = 0xffff_u16;
+        for byte in payload {
+            crc ^= u16::from(*byte) << 8;
+            for _ in 0..8 {
+                let carry = crc & 0x8000 != 0;
+                crc = (crc << 1) ^ if carry { 0x1021 } else { 0 };
+            }
+        }
+        let plain = [payload, &crc.to_le_bytes()].concat();
+        let mut line = Vec::new();
+        for run in plain.split(|byte| *byte == 0) {
+            line.push(run.len() as u8 + 1);
+            line.extend(run);
+        }
+        line.push(0);
+        line
+    }
+
+    #[test]
+    fn unknown_messages_are_skipped_and_counted() {
+        let mut line = bytes(&hello(5, 3));
+        for number in [3, 9, 255] {
+            line.extend(framed(&[number, 1, 2, 0, 7]));
+            line.extend(bytes(&frame(0, 3)));
+        }
+        // A number of this protocol whose fields do not fit is damage.
+        line.extend(framed(&[2, 1]));
+        let mut link = Link::new(None);
+        assert_eq!(received(&mut link, &line).len(), 4);
+        let losses = link.losses();
+        assert_eq!((losses.unknown, losses.damaged, losses.frames), (3, 1, 0));
+    }
+
+    /// Protocol 2's `Hello` as its devices send it: the example of its document.
+    const HELLO_OF_PROTOCOL_2: &[u8] = &[
+        0x01, 0x08, 0x02, 0xf8, 0xac, 0xd1, 0x91, 0x01, 0x02, 0x01, 0x01, 0x02, 0x3f, 0x01, 0x08, 0x80, 0x3e,
+        0x64, 0xb8, 0x08, 0x79, 0xe4, 0x00,
+    ];
+
+    #[test]
+    fn a_device_of_protocol_2_is_refused_in_words() {
+        let error = Link::new(None)
+            .push(HELLO_OF_PROTOCOL_2, |_| panic!("handed over"))
+            .unwrap_err();
+        assert_eq!(error, LinkError::Protocol { theirs: 2 });
+        assert!(
+            error.to_string().contains("protocol 2, this program 3"),
+            "{error}"
+        );
+    }
+
+    /// What a host of protocol 2 looks at: the payload's second byte, wherever the rest has gone.
+    #[test]
+    fn a_host_of_protocol_2_can_name_this_protocol() {
+        let line = bytes(&hello(5, 3));
+        // COBS writes the leading 0 of the payload as the code 1; the run behind it begins with the protocol.
+        assert_eq!((line[0], line[2]), (1, PROTOCOL));
+    }
+
+    #[test]
+    fn a_device_is_told_the_hosts_protocol() {
+        let mut receiver = Receiver::new();
+        let arrived: Vec<_> = greeting()
+            .iter()
+            .filter_map(|byte| receiver.push::<ToDevice>(*byte).map(|m| m.map(|_| ())))
+            .collect();
+        assert_eq!(arrived, [Ok(())]);
+        // A host of a protocol to come, with more in its `Hello`.
+        let mut last = None;
+        for byte in framed(&[4, 9, 1, 2, 3]) {
+            last = receiver.push::<ToDevice>(byte).map(|m| m.map(|_| ()));
+        }
+        assert_eq!(last, Some(Err(WireError::Protocol { theirs: 9 })));
     }
 
     #[test]

@@ -54,7 +54,7 @@ impl Tensors {
 
     /// A file's bytes; `name` says in errors where they are from.
     pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
-        if bytes.starts_with(&lipstream_core::model::field::MAGIC) {
+        if bytes.starts_with(&lipstream_core::model::container::MAGIC) {
             bail!(
                 "{name} holds the device's tables; give the model (.safetensors) that they were exported from"
             );

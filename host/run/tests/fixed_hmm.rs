@@ -7,16 +7,17 @@ use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::{EmSettings, Model as FloatModel};
 use lipstream::reference::hmm::{Coupled, log_emissions};
 use lipstream::synthetic::{Sizes, model, speech};
-use lipstream_core::hmm::converter::{Converter, Settings};
-use lipstream_core::hmm::density::{Scaled, log_likelihood};
-use lipstream_core::hmm::follower::Follower;
+use lipstream_core::kinds::Convert;
+use lipstream_core::kinds::likelihood::Converter;
+use lipstream_core::kinds::likelihood::density::{Scaled, log_likelihood};
+use lipstream_core::kinds::likelihood::follower::Follower;
 use lipstream_core::logmath::LogProb;
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::{N_OBSERVATION, N_STATIC};
+use lipstream_core::{Likelihood, N_OBSERVATION, N_STATIC, ParameterFrame, StreamSettings};
 use ndarray::{Array2, Array3, ArrayView1};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+
+type Model<'a> = lipstream_core::Model<'a, Likelihood<'a>>;
 
 const NO_BEAM: LogProb = LogProb::from_q12(1 << 26);
 
@@ -29,18 +30,17 @@ fn q8(row: ArrayView1<f32>) -> [i16; N_OBSERVATION] {
 }
 
 /// Visual occupancies `[frames, 65]` from the fixed-point follower.
-fn fixed_occupancies<const T: usize, const F: usize>(
-    model: &Model,
+fn fixed_occupancies<'m, const T: usize, const F: usize>(
+    model: &'m Model<'m>,
     beam: LogProb,
     lag: usize,
     observations: &Array2<f32>,
 ) -> Array2<f64> {
     let frames = observations.nrows();
     let mut follower = Box::new(Follower::<T, F>::new(
-        model,
+        model.own(),
         beam,
-        model.acoustic_scale(),
-        None,
+        model.own().settings().acoustic_scale,
         None,
     ));
     let mut out = Array2::zeros((frames, 65));
@@ -142,12 +142,12 @@ fn densities_agree_with_the_twin() {
         let twin = log_emissions(&float, observations.view()) / std::f64::consts::LN_2;
         let (mut square, mut n, mut worst) = (0.0, 0.0, 0f64);
         for (t, row) in observations.rows().into_iter().enumerate() {
-            let scaled = Scaled::new(&tables, &q8(row));
+            let scaled = Scaled::new(tables.own().audio(), &q8(row));
             let best = twin.row(t).fold(f64::NEG_INFINITY, |m, v| m.max(*v));
             for state in 0..float.n_audio_states() {
                 // States that matter: within 20 bits of the best.
                 if twin[[t, state]] > best - 20.0 {
-                    let fixed = log_likelihood(&tables, state, &scaled, 1 << 16);
+                    let fixed = log_likelihood(tables.own().audio(), state, &scaled, 1 << 16);
                     let error = f64::from(fixed.q12()) / 4096.0 - twin[[t, state]];
                     square += error * error;
                     n += 1.0;
@@ -216,9 +216,9 @@ fn with_a_lag_the_occupancies_are_the_twins() {
     }
 }
 
-fn converted<const T: usize, const F: usize>(
-    model: &Model,
-    settings: Settings,
+fn converted<'m, const T: usize, const F: usize>(
+    model: &'m Model<'m>,
+    settings: StreamSettings,
     observations: &Array2<f32>,
 ) -> (Vec<ParameterFrame>, usize) {
     let mut converter = Box::new(Converter::<T, F>::new(model, settings));
@@ -257,7 +257,7 @@ fn run<const T: usize, const F: usize>(
 }
 
 fn real(model: &Model, frames: &[ParameterFrame]) -> Array2<f64> {
-    let scales: Vec<f32> = model.parameter_scales().collect();
+    let scales: Vec<f32> = model.head().parameter_scales().collect();
     Array2::from_shape_fn((frames.len(), scales.len()), |(t, d)| {
         f64::from(frames[t].values[d]) * f64::from(scales[d])
     })
@@ -275,9 +275,9 @@ fn parameters_are_those_of_the_float_conversion() {
         let tables = Model::new_checked(&bytes).unwrap();
         let observations = speech(&float, 120, 3, &mut rng);
         let (twin, visemes) = convert(&float, &observations, Lag::Frames(lag)).unwrap();
-        let settings = Settings {
+        let settings = StreamSettings {
             beam: Some(NO_BEAM),
-            ..Settings::default()
+            ..StreamSettings::default()
         };
         let (frames, delay) = converted::<1872, 9>(&tables, settings, &observations);
         assert_eq!(delay, (lag + 4).max(4) + 1);
@@ -321,11 +321,11 @@ fn live_feedback_is_the_twins() {
                 .convert_live(&observations, &em, usize::from(lag))
                 .unwrap(),
         );
-        let settings = Settings {
+        let settings = StreamSettings {
             lag: Some(lag),
             beam: Some(NO_BEAM),
             feedback: Some((exponent * 65536.0) as u32),
-            ..Settings::default()
+            ..StreamSettings::default()
         };
         let (frames, delay) = converted::<1872, 9>(&tables, settings, &observations);
         assert_eq!(delay, usize::from(lag) + 5);
@@ -349,7 +349,7 @@ fn live_feedback_is_the_twins() {
         // Without visual densities in the tables the maps speak.
         let plain = exported(&float).bytes;
         let plain = Model::new_checked(&plain).unwrap();
-        let deaf = Settings {
+        let deaf = StreamSettings {
             feedback: None,
             ..settings
         };
@@ -391,9 +391,9 @@ fn a_reset_converter_is_a_new_one() {
     let tables = Model::new_checked(&bytes).unwrap();
     let (first, second) = (speech(&float, 70, 3, &mut rng), speech(&float, 50, 2, &mut rng));
     for feedback in [None, Some(1 << 14)] {
-        let settings = Settings {
+        let settings = StreamSettings {
             feedback,
-            ..Settings::default()
+            ..StreamSettings::default()
         };
         let mut converter = Box::new(Converter::<384, 9>::new(&tables, settings));
         run(&mut converter, &first);
@@ -422,11 +422,11 @@ fn utterances_of_every_short_length_give_every_frame() {
         let observations = speech(&float, n, 3, &mut rng);
         for lag in [0, 3, 8] {
             for (average, feedback) in [(false, None), (true, None), (true, Some(1 << 12))] {
-                let settings = Settings {
+                let settings = StreamSettings {
                     lag: Some(lag),
                     average: Some(average),
                     feedback,
-                    ..Settings::default()
+                    ..StreamSettings::default()
                 };
                 assert_eq!(converted::<384, 9>(&tables, settings, &observations).0.len(), n);
             }
@@ -443,10 +443,9 @@ fn an_emptied_beam_keeps_the_best_token() {
     let tables = Model::new_checked(&bytes).unwrap();
     let observations = speech(&float, 60, 3, &mut rng);
     let mut follower = Box::new(Follower::<384, 9>::new(
-        &tables,
+        tables.own(),
         LogProb::from_q12(1),
-        tables.acoustic_scale(),
-        None,
+        tables.own().settings().acoustic_scale,
         None,
     ));
     for row in observations.rows() {
@@ -455,7 +454,7 @@ fn an_emptied_beam_keeps_the_best_token() {
         let sum: u32 = follower.occupancies(5).iter().sum();
         assert!(sum.abs_diff(65536) <= 65, "{sum}");
     }
-    let (frames, _) = converted::<1, 9>(&tables, Settings::default(), &observations);
+    let (frames, _) = converted::<1, 9>(&tables, StreamSettings::default(), &observations);
     assert_eq!(frames.len(), 60);
     for frame in frames {
         let sum: u32 = frame.viseme_weights.iter().map(|w| u32::from(*w)).sum();
@@ -472,10 +471,9 @@ fn extreme_observations_leave_a_distribution() {
         let bytes = exported(&float).bytes;
         let tables = Model::new_checked(&bytes).unwrap();
         let mut follower = Box::new(Follower::<384, 9>::new(
-            &tables,
+            tables.own(),
             LogProb::from_q12(16 << 12),
-            tables.acoustic_scale(),
-            None,
+            tables.own().settings().acoustic_scale,
             None,
         ));
         for n in 0..300u32 {

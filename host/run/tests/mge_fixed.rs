@@ -2,7 +2,7 @@
 //! trained one is held in `mge.rs`.
 mod common;
 
-use common::tables::{hear_out, seal, section};
+use common::tables::{hear_out, n_sections, nth, seal};
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::MgeModel;
@@ -10,16 +10,42 @@ use lipstream::kinds::recurrent::parameters::{
     Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
 };
 use lipstream::synthetic::{self, Sizes};
+use lipstream_core::kinds::recurrent::{Converter, TOKENS};
 use lipstream_core::logmath::LogProb;
-use lipstream_core::model::Model as Tables;
-use lipstream_core::model::field::{CRC_SIZE, N_SECTIONS, Section, entry, header};
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{MEMORY_FRAMES, MEMORY_TOKENS, Settings, Stream};
+use lipstream_core::model::ModelError;
+use lipstream_core::model::container::{CRC_SIZE, entry, header};
 use lipstream_core::wire::Profile;
+use lipstream_core::{AnyModel, Likelihood, Model, ParameterFrame, Recurrent, Stream, StreamSettings};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+type Tables<'a> = Model<'a, Recurrent<'a>>;
+
 const OUTPUTS: usize = 5;
+
+#[test]
+fn another_kind_of_tables_is_refused_in_words() {
+    let recurrent = tables(&model(Feedback::Output, Gate::Both, Gate::Visual, 8));
+    let error = Model::<Likelihood>::new_checked(&recurrent).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "model is of kind Recurrent, this program was built for kind Likelihood"
+    );
+    let mut unknown = recurrent.clone();
+    unknown[header::KIND] = 77;
+    seal(&mut unknown);
+    assert_eq!(
+        AnyModel::new_checked(&unknown).err(),
+        Some(ModelError::UnknownKind { kind: 77 })
+    );
+    // A kind that is known, with the sections of another.
+    unknown[header::KIND] = 1;
+    seal(&mut unknown);
+    assert!(matches!(
+        AnyModel::new_checked(&unknown),
+        Err(ModelError::Missing { .. })
+    ));
+}
 
 /// A model of random numbers of the sizes that trained ones have.
 fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
@@ -95,7 +121,7 @@ fn a_stream_does_not_depend_on_its_cuts_and_begins_anew_after_its_end() {
             })
             .collect(),
     ];
-    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    let mut stream = Box::new(Stream::new(&tables, StreamSettings::default()));
     for sound in &sounds {
         let mut whole: Option<Vec<ParameterFrame>> = None;
         for cut in [1, 7, 160, 4096] {
@@ -130,10 +156,10 @@ fn crafted_tables_never_panic() {
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..300 {
         let mut bad = good.clone();
-        let body = header::SIZE + N_SECTIONS * entry::SIZE..bad.len() - CRC_SIZE;
+        let body = header::SIZE + n_sections(&bad) * entry::SIZE..bad.len() - CRC_SIZE;
         if round % 3 == 0 {
             // Everything random, or as large as it gets, in one section.
-            let range = section(&bad, Section::ALL[rng.random_range(1..N_SECTIONS)]);
+            let range = nth(&bad, rng.random_range(0..n_sections(&bad))).1;
             let extreme = [0x7f, 0x80, 0xff][rng.random_range(0..3)];
             let random = rng.random_bool(0.5);
             for byte in &mut bad[range] {
@@ -146,7 +172,7 @@ fn crafted_tables_never_panic() {
             }
         }
         seal(&mut bad);
-        let Ok(tables) = Tables::new_checked(&bad) else {
+        let Ok(tables) = AnyModel::new_checked(&bad) else {
             refused += 1;
             continue;
         };
@@ -161,12 +187,12 @@ fn crafted_tables_never_panic() {
 }
 
 /// Every frame that a stream of this size gives for a sound, and in how many the beam was narrowed.
-fn run<const TOKENS: usize, const FRAMES: usize>(
-    tables: &Tables,
-    settings: Settings,
+fn run<'m, const ROOM: usize>(
+    tables: &'m Tables<'m>,
+    settings: StreamSettings,
     sound: &[i16],
 ) -> (Vec<ParameterFrame>, u32) {
-    let mut stream = Box::new(Stream::<TOKENS, FRAMES>::sized(tables, settings));
+    let mut stream = Box::new(Stream::<Recurrent, Converter<ROOM>>::sized(tables, settings));
     let mut said = Vec::new();
     let mut rest = sound;
     while !rest.is_empty() {
@@ -195,14 +221,14 @@ fn profiles_wait_as_long_as_they_say_and_are_switched_at_run_time() {
     let tables = Tables::new_checked(&tables).unwrap();
     let sound = rustle(16_000);
     let frames = (sound.len() - 400) / 160 + 1;
-    let mut stream = Box::new(Stream::new(&tables, Settings::default()));
+    let mut stream = Box::new(Stream::new(&tables, StreamSettings::default()));
     for (profile, hops, most_ms) in [
         (Profile::Studio, 8, f64::INFINITY),
         (Profile::Live, 3, 45.0),
         (Profile::Standard, 6, 80.0),
         (Profile::Live, 3, 45.0),
     ] {
-        stream.set(Settings::of(profile));
+        stream.set(StreamSettings::of(profile));
         assert_eq!(stream.delay_samples(), hops * 160 + 200);
         assert!(stream.delay_samples() as f64 / 16.0 <= most_ms, "{profile:?}");
         let (mut heard, mut said) = (0, Vec::new());
@@ -222,27 +248,25 @@ fn profiles_wait_as_long_as_they_say_and_are_switched_at_run_time() {
         said.extend(std::iter::from_fn(|| stream.finish()));
         assert_eq!(said.len(), frames, "{profile:?}");
         // The same as a stream that never knew another profile.
-        let (anew, _) = run::<384, 9>(&tables, Settings::of(profile), &sound);
+        let (anew, _) = run::<384>(&tables, StreamSettings::of(profile), &sound);
         assert!(said == anew, "{profile:?}");
     }
 }
 
 #[test]
-fn a_stream_of_half_the_room_gives_the_same_frames() {
+fn a_stream_of_a_devices_room_gives_the_same_frames() {
     let model = model(Feedback::Output, Gate::Both, Gate::Visual, 8);
     let tables = tables(&model);
     let tables = Tables::new_checked(&tables).unwrap();
     let sound = rustle(16_000);
     for profile in [Profile::Live, Profile::Studio] {
-        let large = run::<384, 9>(&tables, Settings::of(profile), &sound);
-        let small = run::<MEMORY_TOKENS, MEMORY_FRAMES>(&tables, Settings::of(profile), &sound);
+        let large = run::<384>(&tables, StreamSettings::of(profile), &sound);
+        let small = run::<TOKENS>(&tables, StreamSettings::of(profile), &sound);
         assert!(large == small, "{profile:?}");
     }
-    let bytes = |large: usize, small: usize| assert!(2 * small < large + 1024, "{small} of {large} bytes");
-    bytes(
-        size_of::<Stream>(),
-        size_of::<Stream<MEMORY_TOKENS, MEMORY_FRAMES>>(),
-    );
+    // What a likelihood-trained model keeps besides (a window of frames, densities' emissions, frames that wait) is not here.
+    let (large, small) = (size_of::<Stream<Likelihood>>(), size_of::<Stream<Recurrent>>());
+    assert!(2 * small < large, "{small} of {large} bytes");
 }
 
 /// Flat emissions keep every state alive: the bounds hold all the same, and say so.
@@ -255,11 +279,11 @@ fn bounds_narrow_the_beam_and_are_counted() {
     let tables = tables(&flat);
     let tables = Tables::new_checked(&tables).unwrap();
     let sound = rustle(8_000);
-    let settings = Settings {
+    let settings = StreamSettings {
         beam: Some(LogProb::from_q12(40 << 12)),
         most: Some(12),
         phones: Some(3),
-        ..Settings::default()
+        ..StreamSettings::default()
     };
     let mut stream = Box::new(Stream::new(&tables, settings));
     let mut rest = &sound[..];
@@ -279,10 +303,10 @@ fn bounds_narrow_the_beam_and_are_counted() {
     stream.reset();
     assert_eq!(stream.narrowed(), 0);
     // With room for all of them nothing is held back.
-    let roomy = Settings {
+    let roomy = StreamSettings {
         most: Some(u16::MAX),
         phones: Some(u16::MAX),
         ..settings
     };
-    assert_eq!(run::<2048, 1>(&tables, roomy, &sound).1, 0);
+    assert_eq!(run::<2048>(&tables, roomy, &sound).1, 0);
 }

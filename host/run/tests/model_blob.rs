@@ -1,15 +1,25 @@
 //! The tables: what was written is what is read, and nothing that is damaged or crafted gets through to a panic.
 mod common;
 
-use common::tables::{hear_out, seal, section};
+use common::tables::{hear_out, n_sections, nth, replaced, seal, section};
 use lipstream::export::{ExportSettings, export};
 use lipstream::synthetic::{Sizes, model};
-use lipstream_core::model::field::{
-    CRC_SIZE, FORMAT_VERSION, N_SECTIONS, Section, entry, header, limit, settings, shape,
+use lipstream_core::context::tables::{
+    MAX_INPUTS, MAX_OFFSET, MAX_SHIFT, MAX_TAPS, PROJECTION_OFFSET, PROJECTION_SHIFT, TAPS,
 };
-use lipstream_core::model::{Model, ModelError, Size};
+use lipstream_core::frame::MAX_GROUPS;
+use lipstream_core::hmm::tables::{BIGRAM, INITIAL, PHONE_NAMES, PHONE_VISEMES, TRANSITIONS, VISEME_BIGRAM};
+use lipstream_core::hmm::transition::MAX_PHONES;
+use lipstream_core::kinds::likelihood::tables::*;
+use lipstream_core::logmath::LogProb;
+use lipstream_core::model::common::{GROUPS, PARAMETER_SCALE, START_MEAN};
+use lipstream_core::model::container::{CRC_SIZE, FORMAT_VERSION, entry, header};
+use lipstream_core::model::{ModelError, Section};
+use lipstream_core::{AnyModel, Likelihood};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64;
+
+type Model<'a> = lipstream_core::Model<'a, Likelihood<'a>>;
 
 fn tables(seed: u64) -> Vec<u8> {
     let float = model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(seed));
@@ -35,8 +45,8 @@ fn equal_models_give_equal_bytes() {
     assert_ne!(tables(1), tables(2));
     let (a, b) = (tables(1), tables(2));
     assert_ne!(
-        Model::new_checked(&a).unwrap().id(),
-        Model::new_checked(&b).unwrap().id()
+        Model::new_checked(&a).unwrap().head().id(),
+        Model::new_checked(&b).unwrap().head().id()
     );
 }
 
@@ -52,24 +62,29 @@ fn what_was_exported_is_read() {
     };
     let bytes = export(&float, &with).unwrap().bytes;
     let tables = Model::new_checked(&bytes).unwrap();
-    assert_eq!(tables.lag(), 3);
-    assert_eq!(tables.beam().q12(), 25 << 11);
-    assert_eq!(tables.acoustic_scale(), 1 << 14);
-    assert!(!tables.average());
-    assert_eq!(tables.look_ahead(), 4);
+    let (head, own) = (tables.head(), tables.own());
+    let settings = own.settings();
+    assert_eq!(settings.lag, 3);
+    assert_eq!(settings.beam, LogProb::from_q12(25 << 11));
+    assert_eq!(settings.acoustic_scale, 1 << 14);
+    assert!(!settings.average);
+    assert_eq!(own.context().look_ahead(), 4);
     assert_eq!(
-        tables.taps().map(i32::from).collect::<Vec<_>>(),
+        own.context().taps().map(i32::from).collect::<Vec<_>>(),
         float.context.taps
     );
+    let groups: Vec<_> = head.groups().map(|group| (group.name, group.place)).collect();
+    assert_eq!(groups, [("mouth", 0..5)]);
+    let hmm = own.hmm();
     for (p, phone) in float.phones.iter().enumerate() {
-        assert_eq!(tables.phone_name(p), phone.name());
-        assert_eq!(tables.viseme(p), usize::from(phone.viseme().0));
-        for (q, log) in tables.bigram(p).iter().enumerate() {
+        assert_eq!(hmm.phone_name(p), phone.name());
+        assert_eq!(hmm.viseme(p), usize::from(phone.viseme().0));
+        for (q, log) in hmm.bigram(p).iter().enumerate() {
             let want = float.bigram[[p, q]] / std::f32::consts::LN_2;
             assert!((f32::from(log) / 1024.0 - want).abs() <= 0.51 / 1024.0);
         }
         let mut total = 0.0;
-        for (m, log) in tables.viseme_bigram(p).iter().enumerate() {
+        for (m, log) in hmm.viseme_bigram(p).iter().enumerate() {
             let is_there = float.phones.iter().any(|q| usize::from(q.viseme().0) == m);
             assert_eq!(log == i16::MIN, !is_there, "viseme {m}");
             if is_there {
@@ -78,25 +93,25 @@ fn what_was_exported_is_read() {
         }
         assert!((total - 1.0).abs() < 1e-2, "{total}");
     }
-    for (have, want) in tables.start_mean().iter().zip(&float.start_mean) {
+    for (have, want) in head.start_mean().iter().zip(&float.start_mean) {
         assert!((f32::from(*have) / 256.0 - want).abs() <= 0.5 / 256.0);
     }
     let visual = float.visual.mean.dim().1;
     // The full set of indices and some beyond: nothing panics.
     for index in 0..1000 {
         let _ = (
-            tables.phone_name(index),
-            tables.viseme(index),
-            tables.choices(index, index),
+            hmm.phone_name(index),
+            hmm.viseme(index),
+            hmm.choices(index, index),
         );
-        assert_eq!(tables.mixture(index).count(), if index < 45 { 2 } else { 0 });
-        assert_eq!(tables.state_map(index).count(), if index < 65 { 5 } else { 0 });
+        assert_eq!(own.audio().of(index).count(), if index < 45 { 2 } else { 0 });
+        assert_eq!(own.state_map(index).count(), if index < 65 { 5 } else { 0 });
         assert_eq!(
-            tables.visual_mixture(index).count(),
+            own.visual().of(index).count(),
             if index < 65 { visual } else { 0 }
         );
         assert_eq!(
-            tables.visual_centre(index).iter().count(),
+            own.visual_centre(index).iter().count(),
             if index < 65 { 5 } else { 0 }
         );
     }
@@ -159,41 +174,45 @@ fn every_changed_byte_is_noticed() {
 
 #[test]
 fn numbers_out_of_range_are_refused() {
-    use Section::*;
     let good = tables(1);
-    assert_eq!(with(&good, PhoneVisemes, 2, &[12]), Ok(()));
+    assert_eq!(with(&good, PHONE_VISEMES, 2, &[12]), Ok(()));
     let refused = [
-        (PhoneVisemes, 2, vec![13]),
-        (PhoneNames, 0, vec![0]),
-        (PhoneNames, 1, vec![200]),
-        (Bigram, 2, 1i16.to_le_bytes().to_vec()),
-        (Transitions, 0, 1i16.to_le_bytes().to_vec()),
-        (VisemeBigram, 0, i16::MAX.to_le_bytes().to_vec()),
-        (Taps, 0, vec![0]),
-        (Taps, 5, vec![17]),
-        (ProjectionShift, 0, vec![limit::SHIFT + 1]),
-        (GlobalShift, 1, vec![255]),
-        (ProjectionOffset, 4, i32::MIN.to_le_bytes().to_vec()),
-        (GlobalBias, 0, (limit::OFFSET + 1).to_le_bytes().to_vec()),
-        (DensityConstants, 0, i32::MAX.to_le_bytes().to_vec()),
-        (ObservationGain, 8, u32::MAX.to_le_bytes().to_vec()),
-        (ParameterGain, 8, u32::MAX.to_le_bytes().to_vec()),
-        (ParameterGain, 0, 0u32.to_le_bytes().to_vec()),
-        (VisualDensityConstants, 4, i32::MAX.to_le_bytes().to_vec()),
-        (ParameterScale, 0, f32::NAN.to_le_bytes().to_vec()),
-        (ParameterScale, 0, (-1.0f32).to_le_bytes().to_vec()),
-        (ParameterScale, 4, 0f32.to_le_bytes().to_vec()),
-        (Settings, settings::BEAM, 0u32.to_le_bytes().to_vec()),
-        (Settings, settings::BEAM, u32::MAX.to_le_bytes().to_vec()),
-        (Settings, settings::AVERAGE, vec![2]),
+        (PHONE_VISEMES, 2, vec![13]),
+        (PHONE_NAMES, 0, vec![0]),
+        (PHONE_NAMES, 1, vec![200]),
+        (BIGRAM, 2, 1i16.to_le_bytes().to_vec()),
+        (TRANSITIONS, 0, 1i16.to_le_bytes().to_vec()),
+        (VISEME_BIGRAM, 0, i16::MAX.to_le_bytes().to_vec()),
+        (TAPS, 0, vec![0]),
+        (TAPS, 5, vec![17]),
+        (PROJECTION_SHIFT, 0, vec![MAX_SHIFT + 1]),
+        (GLOBAL_SHIFT, 1, vec![255]),
+        (PROJECTION_OFFSET, 4, i32::MIN.to_le_bytes().to_vec()),
+        (GLOBAL_BIAS, 0, (MAX_OFFSET + 1).to_le_bytes().to_vec()),
+        (DENSITY_CONSTANTS, 0, i32::MAX.to_le_bytes().to_vec()),
+        (OBSERVATION_GAIN, 8, u32::MAX.to_le_bytes().to_vec()),
+        (PARAMETER_GAIN, 8, u32::MAX.to_le_bytes().to_vec()),
+        (PARAMETER_GAIN, 0, 0u32.to_le_bytes().to_vec()),
+        (VISUAL_DENSITY_CONSTANTS, 4, i32::MAX.to_le_bytes().to_vec()),
+        (PARAMETER_SCALE, 0, f32::NAN.to_le_bytes().to_vec()),
+        (PARAMETER_SCALE, 0, (-1.0f32).to_le_bytes().to_vec()),
+        (PARAMETER_SCALE, 4, 0f32.to_le_bytes().to_vec()),
+        (GROUPS, 0, vec![b'M']),
+        (GROUPS, 0, vec![0]),
+        (GROUPS, 7, vec![b'x']),
+        (GROUPS, 8, vec![0, 0]),
+        (GROUPS, 8, vec![65, 0]),
+        (SETTINGS, settings::BEAM, 0u32.to_le_bytes().to_vec()),
+        (SETTINGS, settings::BEAM, u32::MAX.to_le_bytes().to_vec()),
+        (SETTINGS, settings::AVERAGE, vec![2]),
         (
-            Settings,
+            SETTINGS,
             settings::ACOUSTIC_SCALE,
             u32::MAX.to_le_bytes().to_vec(),
         ),
-        (Settings, settings::DISTANCE_GAIN, u32::MAX.to_le_bytes().to_vec()),
+        (SETTINGS, settings::DISTANCE_GAIN, u32::MAX.to_le_bytes().to_vec()),
         (
-            Settings,
+            SETTINGS,
             settings::VISUAL_DISTANCE_GAIN,
             u32::MAX.to_le_bytes().to_vec(),
         ),
@@ -202,14 +221,15 @@ fn numbers_out_of_range_are_refused() {
         let said = with(&good, of, at, &value);
         assert!(
             matches!(said, Err(ModelError::Value { section, .. }) if section == of),
-            "{of:?} at {at}: {said:?}"
+            "{} at {at}: {said:?}",
+            of.name
         );
     }
     let never = [0x00, 0x80].repeat(9);
     assert_eq!(
-        with(&good, Initial, 0, &never),
+        with(&good, INITIAL, 0, &never),
         Err(ModelError::Value {
-            section: Initial,
+            section: INITIAL,
             index: 0
         })
     );
@@ -218,29 +238,69 @@ fn numbers_out_of_range_are_refused() {
 #[test]
 fn sizes_that_do_not_fit_are_refused() {
     let good = tables(1);
-    for (at, size) in [
-        (shape::PHONES, Size::Phones),
-        (shape::DENSITIES, Size::Densities),
-        (shape::TAPS, Size::Taps),
-        (shape::INPUTS, Size::Inputs),
-        (shape::PARAMETERS, Size::Parameters),
-        (shape::VISUAL_DENSITIES, Size::VisualDensities),
+    // The sections that give the sizes: bytes of an item, and most of them.
+    let states = section(&good, PHONE_VISEMES).len() * 5;
+    for (of, item, most) in [
+        (GROUPS, 10, MAX_GROUPS),
+        (PHONE_VISEMES, 1, MAX_PHONES),
+        (TAPS, 1, MAX_TAPS),
+        (PROJECTION_SHIFT, 1, MAX_INPUTS),
+        (DENSITY_CONSTANTS, 4 * states, MAX_DENSITIES),
+        (VISUAL_DENSITY_CONSTANTS, 4 * 65, MAX_DENSITIES),
     ] {
-        // Tables may be without visual densities, but then not with their sections.
-        let least = usize::from(size == Size::VisualDensities);
-        for value in &[0u16, 97, u16::MAX][least..] {
-            let said = with(&good, Section::Shape, at, &value.to_le_bytes());
-            assert!(
-                matches!(said, Err(ModelError::Shape { size: s, .. }) if s == size),
-                "{size:?} {value}: {said:?}"
-            );
+        let own = &good[section(&good, of)];
+        for items in [0, most + 1] {
+            let content: Vec<u8> = own.iter().copied().cycle().take(item * items).collect();
+            let bad = replaced(&good, of, Some(&content));
+            let said = Model::new_checked(&bad).err();
+            let want = ModelError::Size {
+                section: of,
+                have: items,
+                most,
+            };
+            assert_eq!(said, Some(want), "{}", of.name);
         }
-        let said = with(&good, Section::Shape, at, &[7, 0]);
+        // Another size than that of the sections that depend on it.
+        let content: Vec<u8> = own.iter().copied().take(own.len() - item).collect();
+        let other = replaced(&good, of, Some(&content));
+        assert!(Model::new_checked(&other).is_err(), "{}", of.name);
+    }
+    let mut long = good[section(&good, PARAMETER_SCALE)].to_vec();
+    long.extend([0; 4]);
+    for of in [PARAMETER_SCALE, START_MEAN, SETTINGS] {
+        assert!(matches!(
+            Model::new_checked(&replaced(&good, of, Some(&long))).err(),
+            Some(ModelError::SectionLength { section, .. }) if section == of
+        ));
+    }
+}
+
+/// A kind's tables hold its sections and no others.
+#[test]
+fn missing_and_foreign_sections_are_refused() {
+    let good = tables(1);
+    for n in 0..n_sections(&good) {
+        let of = Section::new(nth(&good, n).0, "");
+        let said = Model::new_checked(&replaced(&good, of, None)).map(|_| ());
         assert!(
-            matches!(said, Err(ModelError::SectionLength { .. })),
-            "{size:?}: {said:?}"
+            matches!(said, Err(ModelError::Missing { section }) if section.tag == of.tag)
+                || matches!(said, Err(ModelError::Foreign { .. })),
+            "{}: {said:?}",
+            of.tag
         );
     }
+    // One more, of a tag that no section has.
+    let mut parts: Vec<(Section, &[u8])> = (0..n_sections(&good))
+        .map(|n| nth(&good, n))
+        .map(|(tag, place)| (Section::new(tag, ""), &good[place]))
+        .collect();
+    parts.push((Section::new(0x7000, ""), &[1, 2, 3]));
+    let mut more = Vec::new();
+    lipstream_core::model::container::write(1, &parts, &mut more);
+    assert_eq!(
+        Model::new_checked(&more).err(),
+        Some(ModelError::Foreign { sections: 1 })
+    );
 }
 
 #[test]
@@ -253,7 +313,8 @@ fn misplaced_sections_are_refused() {
         seal(&mut bad);
         Model::new_checked(&bad).map(|_| ())
     };
-    for i in 0..N_SECTIONS {
+    let n = n_sections(&good);
+    for i in 0..n {
         for offset in [0u32, 31, 1 << 20, u32::MAX, u32::MAX - 3] {
             assert!(tampered(at(i) + entry::OFFSET, &offset.to_le_bytes()).is_err());
         }
@@ -264,7 +325,7 @@ fn misplaced_sections_are_refused() {
         {
             assert!(tampered(at(i) + entry::LENGTH, &length.to_le_bytes()).is_err());
         }
-        let twice = ((i + 1) % N_SECTIONS) as u16;
+        let twice = nth(&good, (i + 1) % n).0;
         assert!(tampered(at(i) + entry::TAG, &twice.to_le_bytes()).is_err());
         assert!(tampered(at(i) + entry::TAG, &[99, 0]).is_err());
     }
@@ -280,11 +341,10 @@ fn crafted_tables_never_panic() {
     let (mut accepted, mut refused) = (0, 0);
     for round in 0..400 {
         let mut bad = good.clone();
-        let body = header::SIZE + N_SECTIONS * entry::SIZE..bad.len() - CRC_SIZE;
+        let body = header::SIZE + n_sections(&bad) * entry::SIZE..bad.len() - CRC_SIZE;
         if round % 4 == 0 {
             // Everything random in one section.
-            let of = Section::ALL[rng.random_range(0..N_SECTIONS)];
-            let range = section(&bad, of);
+            let range = nth(&bad, rng.random_range(0..n_sections(&bad))).1;
             rng.fill_bytes(&mut bad[range]);
         } else {
             let extremes = [0x00, 0x7f, 0x80, 0xff];
@@ -298,7 +358,7 @@ fn crafted_tables_never_panic() {
             }
         }
         seal(&mut bad);
-        let Ok(model) = Model::new_checked(&bad) else {
+        let Ok(model) = AnyModel::new_checked(&bad) else {
             refused += 1;
             continue;
         };

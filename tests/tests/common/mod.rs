@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 use lipstream::export::{ExportSettings, export};
 use lipstream::render::drawn;
 use lipstream::synthetic;
-use lipstream_core::model::Model;
-use lipstream_core::parameters::ParameterFrame;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::{AnyModel, AnyStream, ParameterFrame, StreamSettings};
 use rand::SeedableRng;
 
 pub(crate) mod program;
@@ -62,13 +60,21 @@ pub(crate) fn shipped_tables() -> Vec<u8> {
 }
 
 /// What the core gives on the host.
-pub(crate) fn host_frames(model: &Model, settings: Settings, samples: &[i16]) -> Vec<ParameterFrame> {
+pub(crate) fn host_frames(
+    model: &AnyModel,
+    settings: StreamSettings,
+    samples: &[i16],
+) -> Vec<ParameterFrame> {
     host_run(model, settings, samples).0
 }
 
 /// The host's frames, and in how many of them the beam was narrowed.
-pub(crate) fn host_run(model: &Model, settings: Settings, mut samples: &[i16]) -> (Vec<ParameterFrame>, u32) {
-    let mut stream = Stream::new(model, settings);
+pub(crate) fn host_run(
+    model: &AnyModel,
+    settings: StreamSettings,
+    mut samples: &[i16],
+) -> (Vec<ParameterFrame>, u32) {
+    let mut stream = AnyStream::new(model, settings);
     let mut frames = Vec::new();
     while !samples.is_empty() {
         let (consumed, frame) = stream.push(samples);

@@ -2,7 +2,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use lipstream_core::model::Model as Tables;
+use lipstream_core::{Likelihood, Model as Tables};
 
 use lipstream::export::budget::{self, Budget, Candidate};
 use lipstream::export::{Export, ExportSettings, MgeSettings, export, export_mge};
@@ -194,7 +194,7 @@ impl Source {
         };
         Ok(match &self.kind {
             Kind::Likelihood(..) => {
-                let tables = Tables::new_checked(&self.export.bytes)?;
+                let tables = Tables::<Likelihood>::new_checked(&self.export.bytes)?;
                 let active = budget::mean_active(&tables, &sound::decode(shipped::SOUND)?.samples);
                 let instructions = budget::instructions_by_likelihood(&tables, active);
                 vec![candidate(self.beam_bits, instructions, None)]

@@ -1,7 +1,7 @@
 //! Candidates that need no training corpus of systems: the mean, ridge regression, and one trained model in floats and as
 //! the device computes it.
 use anyhow::{Result, ensure};
-use lipstream_core::stream::Settings;
+use lipstream_core::StreamSettings;
 use lipstream_core::wire::Profile;
 use ndarray::Array2;
 
@@ -148,7 +148,9 @@ pub fn of_mge<'a>(
         ("mge, fixed point, standard", Profile::Standard),
         ("mge, fixed point, live", Profile::Live),
     ] {
-        let waits = Settings::of(profile).look_ahead.map(|hops| 10 * u32::from(hops));
+        let waits = StreamSettings::of(profile)
+            .look_ahead
+            .map(|hops| 10 * u32::from(hops));
         let with = RunSettings {
             beam_bits,
             profile: Some(profile),

@@ -3,7 +3,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
-use lipstream_core::model::field::checksum;
+use lipstream_core::model::container::checksum;
 
 use super::data::{self, Clips};
 use super::state::State;

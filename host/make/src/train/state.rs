@@ -2,7 +2,7 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
-use lipstream_core::model::field::checksum;
+use lipstream_core::model::container::checksum;
 
 use crate::em::Parameters;
 use crate::em::density::Floors;

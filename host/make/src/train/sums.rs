@@ -10,7 +10,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use lipstream_core::model::field::checksum;
+use lipstream_core::model::container::checksum;
 use ndarray::{Array, Array2, Array3, Dimension};
 use serde::{Deserialize, Serialize};
 

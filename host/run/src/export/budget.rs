@@ -20,8 +20,7 @@
 //! ```
 //!
 //! within 7 % of eighteen counts.
-use lipstream_core::model::Model as Tables;
-use lipstream_core::stream::{Settings, Stream};
+use lipstream_core::{Likelihood, Model, Stream, StreamSettings};
 
 use crate::kinds::recurrent::model::MgeModel;
 
@@ -62,19 +61,18 @@ pub fn instructions(model: &MgeModel, beam_bits: f64) -> f64 {
 }
 
 /// Instructions of a hop of a likelihood-trained model with so many active joint states on average.
-pub fn instructions_by_likelihood(tables: &Tables, active: f64) -> f64 {
-    let shape = tables.shape();
+pub fn instructions_by_likelihood(tables: &Model<Likelihood>, active: f64) -> f64 {
     let (k, d, lag) = (
-        shape.densities as f64,
-        shape.parameters as f64,
-        tables.lag() as f64,
+        tables.own().n_densities() as f64,
+        tables.head().n_parameters() as f64,
+        f64::from(tables.own().settings().lag),
     );
     92_000.0 + 1_450.0 * d + active * (570.0 + 150.0 * k + 1_650.0 * lag / (lag + 3.6))
 }
 
 /// Active joint states of a hop on average over a sound, with the tables' own beam and lag.
-pub fn mean_active(tables: &Tables, samples: &[i16]) -> f64 {
-    let mut stream = Stream::new(tables, Settings::default());
+pub fn mean_active(tables: &Model<Likelihood>, samples: &[i16]) -> f64 {
+    let mut stream = Stream::new(tables, StreamSettings::default());
     let (mut rest, mut active, mut frames) = (samples, 0, 0);
     while !rest.is_empty() {
         let (taken, frame) = stream.push(rest);

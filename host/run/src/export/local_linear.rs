@@ -2,63 +2,69 @@
 use std::f64::consts::{LOG2_E, PI};
 
 use anyhow::{Result, bail, ensure};
-use lipstream_core::N_STATIC;
+use lipstream_core::context::tables::{MAX_INPUTS, MAX_TAPS};
+use lipstream_core::frame::MAX_PARAMETERS;
+use lipstream_core::hmm::transition::{MAX_PHONES, N_VISUAL_STATES};
+use lipstream_core::kinds::likelihood::tables::*;
 use lipstream_core::logmath::FRACTION_BITS;
-use lipstream_core::model::field::{
-    DISTANCE_SHIFT, INPUT_FRACTION_BITS, MEAN_SHIFT, N_VISUAL_STATES, NO_DENSITY, SUM_FRACTION_BITS, Section,
-    Shape, limit,
-};
+use lipstream_core::model::Section;
 use ndarray::Axis;
 
-use super::tables::{Errors, SumRows, Tables};
+use super::ExportSettings;
+use super::tables::{Errors, SumRows, Tables, beam};
 use crate::hmm::mixtures::Mixtures;
 use crate::kinds::likelihood::Model;
 use crate::kinds::likelihood::inversion::centres;
 
-/// Empty tables of the model's sizes, with room for its visual densities if they are to be in.
-pub(super) fn begin(model: &Model, visual_densities: bool) -> Result<Tables> {
-    let shape = Shape {
-        phones: model.phones.len(),
-        densities: model.audio.mean.dim().1,
-        taps: model.context.taps.len(),
-        inputs: model.context.projection.nrows(),
-        parameters: model.visual_size(),
-        memory: 0,
-        means: 0,
-        owns: 0,
-        visual_densities: match visual_densities {
-            true => model.visual.mean.dim().1,
-            false => 0,
-        },
-    };
-    Tables::new(
-        shape,
-        &[
-            ("phones", shape.phones, limit::PHONES),
-            ("densities a state", shape.densities, limit::DENSITIES),
-            (
-                "densities a visual state",
-                model.visual.mean.dim().1,
-                limit::DENSITIES,
-            ),
-            ("context taps", shape.taps, limit::TAPS),
-            ("projected inputs", shape.inputs, limit::INPUTS),
-            ("visual parameters", shape.parameters, limit::PARAMETERS),
-        ],
-    )
+/// Empty tables for a model of these sizes.
+pub(super) fn begin(model: &Model) -> Result<Tables> {
+    Tables::new(&[
+        ("phones", model.phones.len(), MAX_PHONES),
+        ("densities a state", model.audio.mean.dim().1, MAX_DENSITIES),
+        (
+            "densities a visual state",
+            model.visual.mean.dim().1,
+            MAX_DENSITIES,
+        ),
+        ("context taps", model.context.taps.len(), MAX_TAPS),
+        ("projected inputs", model.context.projection.nrows(), MAX_INPUTS),
+        ("visual parameters", model.visual_size(), MAX_PARAMETERS),
+    ])
 }
 
 impl Tables {
+    pub(super) fn put_likelihood_settings(
+        &mut self,
+        with: &ExportSettings,
+        distance_gain: u32,
+        visual_distance_gain: u32,
+    ) -> Result<()> {
+        ensure!(with.lag <= 1000, "a lag of {} hops is too long", with.lag);
+        let scale = with.acoustic_scale * 65536.0;
+        ensure!(
+            (0.0..=f64::from(MAX_ACOUSTIC_SCALE)).contains(&scale),
+            "an acoustic scale of {} is out of range",
+            with.acoustic_scale
+        );
+        let own = OwnSettings {
+            lag: with.lag,
+            average: with.average,
+            beam: beam(with.beam_bits)?,
+            acoustic_scale: scale.round() as u32,
+            distance_gain,
+            visual_distance_gain,
+        };
+        let mut bytes = Vec::new();
+        put_settings(&mut bytes, &own);
+        self.put(SETTINGS, bytes, None);
+        Ok(())
+    }
+
     /// The densities of the sound; gives the gain on their squared distances.
     pub(super) fn put_audio_densities(&mut self, audio: &Mixtures) -> Result<u32> {
         self.put_densities(
             audio,
-            [
-                Section::ObservationCentre,
-                Section::ObservationGain,
-                Section::Densities,
-                Section::DensityConstants,
-            ],
+            [OBSERVATION_CENTRE, OBSERVATION_GAIN, DENSITIES, DENSITY_CONSTANTS],
         )
     }
 
@@ -76,21 +82,22 @@ impl Tables {
         let mut errors = Errors::new("deviation");
         let mut bytes = Vec::new();
         for row in centres(&model.visual).rows() {
-            for (centre, scale) in row.iter().zip(&scales) {
+            let quantised = row.iter().zip(&scales).map(|(centre, scale)| {
                 let value = f64::from(centre / scale);
                 let q = errors.round(value, 32767.0);
                 errors.add((q - value) / DEVIATION_LSB);
-                bytes.extend((q as i16).to_le_bytes());
-            }
+                q as i16
+            });
+            put_visual_centre(&mut bytes, quantised);
         }
-        self.put(Section::VisualCentres, bytes, errors.report());
+        self.put(VISUAL_CENTRES, bytes, errors.report());
         self.put_densities(
             &scaled,
             [
-                Section::ParameterCentre,
-                Section::ParameterGain,
-                Section::VisualDensities,
-                Section::VisualDensityConstants,
+                PARAMETER_CENTRE,
+                PARAMETER_GAIN,
+                VISUAL_DENSITIES,
+                VISUAL_DENSITY_CONSTANTS,
             ],
         )
     }
@@ -109,7 +116,7 @@ impl Tables {
             .filter(|(_, w)| is_used(**w))
             .map(|(at, _)| at)
             .collect();
-        ensure!(!used.is_empty(), "the model has no density for {what:?}");
+        ensure!(!used.is_empty(), "the model has no density for {}", what.name);
         let size = mixtures.mean.dim().2;
         let mut centre = vec![0f64; size];
         let mut step = vec![0f64; size];
@@ -130,28 +137,32 @@ impl Tables {
         // A step of the difference is 1/16 mean step; the product is shifted down before squaring.
         let unit = f64::from(1 << DISTANCE_SHIFT) / f64::from(1 << MEAN_SHIFT) * omega;
         let gain = 0.5 * LOG2_E * unit * unit * f64::from(1 << FRACTION_BITS) * f64::from(1 << 20);
-        if gain > f64::from(limit::DISTANCE_GAIN) {
-            bail!("the variances of {what:?} differ too much for the device's tables");
+        if gain > f64::from(MAX_DISTANCE_GAIN) {
+            bail!(
+                "the variances of {} differ too much for the device's tables",
+                what.name
+            );
         }
         let gains: Vec<u32> = step
             .iter()
             .map(|s| (65536.0 * f64::from(1 << MEAN_SHIFT) / 256.0 / s).round() as u32)
             .collect();
         ensure!(
-            gains.iter().all(|g| (1..=limit::OBSERVATION_GAIN).contains(g)),
-            "a variance of {what:?} is too small or too large for the device's tables"
+            gains.iter().all(|g| (1..=MAX_GAIN).contains(g)),
+            "a variance of {} is too small or too large for the device's tables",
+            what.name
         );
         ensure!(
             centre.iter().all(|c| c.abs() < 128.0),
-            "a mean of {what:?} is outside the range of the device's tables"
+            "a mean of {} is outside the range of the device's tables",
+            what.name
         );
-        let bytes = centre
-            .iter()
-            .flat_map(|c| ((c * 256.0) as i16).to_le_bytes())
-            .collect();
-        self.put(into[0], bytes, None);
-        let bytes = gains.iter().flat_map(|g| g.to_le_bytes()).collect();
-        self.put(into[1], bytes, None);
+        let (mut centres, mut gain_bytes) = (Vec::new(), Vec::new());
+        for (c, g) in centre.iter().zip(gains) {
+            put_scaling(&mut centres, &mut gain_bytes, (c * 256.0) as i16, g);
+        }
+        self.put(into[0], centres, None);
+        self.put(into[1], gain_bytes, None);
         self.put_density_tables(mixtures, &centre, &step, omega, [into[2], into[3]])?;
         Ok(gain.round() as u32)
     }
@@ -170,6 +181,7 @@ impl Tables {
         for ((s, k), log_weight) in mixtures.log_weight.indexed_iter() {
             let mut constant = f64::from(*log_weight) * LOG2_E;
             let used = is_used(*log_weight);
+            let mut means = Vec::with_capacity(step.len());
             let mut inverses = Vec::with_capacity(step.len());
             for d in 0..step.len() {
                 let mean = f64::from(mixtures.mean[[s, k, d]]);
@@ -185,22 +197,21 @@ impl Tables {
                 if used {
                     errors.add((centre[d] + q * step[d] - mean) / deviation);
                 }
-                bytes.push(q as i8 as u8);
+                means.push(q as i8);
                 inverses.push(inverse as u8);
             }
-            bytes.extend(inverses);
             let constant = if used {
                 let q = (constant * f64::from(1 << FRACTION_BITS)).round();
                 ensure!(
-                    q.abs() <= f64::from(limit::CONSTANT),
-                    "a weight or variance of {:?} is out of range",
-                    into[0]
+                    q.abs() <= f64::from(MAX_CONSTANT),
+                    "a weight or variance of {} is out of range",
+                    into[0].name
                 );
                 q as i32
             } else {
                 NO_DENSITY
             };
-            constants.extend(constant.to_le_bytes());
+            put_density(&mut bytes, &mut constants, means, inverses, constant);
         }
         self.put(into[0], bytes, errors.report());
         self.put(into[1], constants, None);
@@ -225,27 +236,15 @@ impl Tables {
                 offset * f64::from(1 << INPUT_FRACTION_BITS),
             )?;
         }
-        debug_assert_eq!(context.mean.len(), self.shape.taps * N_STATIC);
-        rows.store(
-            self,
-            [
-                Section::Projection,
-                Section::ProjectionShift,
-                Section::ProjectionOffset,
-            ],
-        );
+        rows.store_projection(self);
         Ok(())
     }
 
     pub(super) fn put_maps(&mut self, model: &Model) -> Result<()> {
         let maps = &model.maps;
-        let (d, x) = (self.shape.parameters, self.shape.inputs);
+        let (d, x) = (model.visual_size(), model.context.projection.nrows());
         let scale = parameter_scales(model);
-        self.put(
-            Section::ParameterScale,
-            scale.iter().flat_map(|s| s.to_le_bytes()).collect(),
-            None,
-        );
+        self.put_mouth(scale.iter().copied());
         let mut rows = SumRows::new("relative to a row's largest");
         for (row, scale) in maps.global.rows().into_iter().zip(&scale) {
             let fine = f64::from(1 << SUM_FRACTION_BITS) / f64::from(*scale);
@@ -256,10 +255,7 @@ impl Tables {
                 f64::from(row[x]) * fine,
             )?;
         }
-        rows.store(
-            self,
-            [Section::GlobalMap, Section::GlobalShift, Section::GlobalBias],
-        );
+        rows.store(self, [GLOBAL_MAP, GLOBAL_SHIFT, GLOBAL_BIAS]);
         let (mut weights, mut scales, mut biases) = (Vec::new(), Vec::new(), Vec::new());
         let mut weight_errors = Errors::new("deviation per unit of x");
         let mut bias_errors = Errors::new("deviation");
@@ -272,22 +268,26 @@ impl Tables {
                     .take(x)
                     .fold(0f64, |m, w| m.max(f64::from(w.abs()) / lsb));
                 let row_scale = (largest / 127.0 * 256.0).ceil().clamp(1.0, 65535.0);
-                for w in row.iter().take(x) {
+                let codes = row.iter().take(x).map(|w| {
                     let value = f64::from(*w) / lsb;
                     let q = weight_errors.round(value / (row_scale / 256.0), 127.0);
                     weight_errors.add((q * row_scale / 256.0 - value) / DEVIATION_LSB);
-                    weights.push(q as i8 as u8);
-                }
+                    q as i8
+                });
                 let bias = f64::from(row[x]) / lsb;
                 let q = bias_errors.round(bias, 32767.0);
                 bias_errors.add((q - bias) / DEVIATION_LSB);
-                scales.extend((row_scale as u16).to_le_bytes());
-                biases.extend((q as i16).to_le_bytes());
+                put_state_row(
+                    [&mut weights, &mut scales, &mut biases],
+                    codes,
+                    row_scale as u16,
+                    q as i16,
+                );
             }
         }
-        self.put(Section::StateMaps, weights, weight_errors.report());
-        self.put(Section::StateScale, scales, None);
-        self.put(Section::StateBias, biases, bias_errors.report());
+        self.put(STATE_MAPS, weights, weight_errors.report());
+        self.put(STATE_SCALE, scales, None);
+        self.put(STATE_BIAS, biases, bias_errors.report());
         Ok(())
     }
 }

@@ -1,18 +1,21 @@
 //! Tables of a model trained on the error of its mouth: the projection in i16 (its columns are strongly correlated; in i8
 //! it costs 4 % AMSE), every other matrix in i8 with a scale a row, what the states own in i8 with a scale a state, rates
-//! as codes of [`lipstream_core::mge::rate`].
+//! as codes of [`lipstream_core::kinds::recurrent::rate`].
 use std::f64::consts::LOG2_E;
 
 use anyhow::{Result, bail, ensure};
 use lipstream_core::N_STATIC;
+use lipstream_core::context::tables::{MAX_INPUTS, MAX_MEANS, MAX_OFFSET, MAX_TAPS};
+use lipstream_core::frame::MAX_PARAMETERS;
+use lipstream_core::hmm::transition::{MAX_PHONES, N_VISUAL_STATES};
+use lipstream_core::kinds::recurrent::tables::*;
+use lipstream_core::kinds::{Kind, Recurrent};
 use lipstream_core::logmath::FRACTION_BITS;
-use lipstream_core::model::field::{
-    BLOCK, Matrix, N_VISUAL_STATES, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, Section, Shape, limit, owns,
-};
+use lipstream_core::model::Section;
 use ndarray::Array2;
 
-use super::tables::{Errors, SumRows, Tables};
-use super::{Export, ExportSettings as RunSettings};
+use super::Export;
+use super::tables::{Errors, SumRows, Tables, beam};
 use crate::kinds::recurrent::model::MgeModel;
 use crate::kinds::recurrent::parameters::{Feedback, Group};
 use crate::kinds::recurrent::step::softmax;
@@ -45,14 +48,22 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         of.feedback != Feedback::Memory,
         "the device feeds back the mouth, not the memory: train with `--feedback output`"
     );
-    let shape = Shape {
-        phones: of.phones,
-        densities: 0,
-        taps: of.context.taps.len(),
-        inputs: of.inputs,
-        parameters: of.outputs,
-        memory: of.memory,
-        means: of.context.shifts.len(),
+    let means = of.context.shifts.len();
+    let mut tables = Tables::new(&[
+        ("phones", of.phones, MAX_PHONES),
+        ("context taps", of.context.taps.len(), MAX_TAPS),
+        ("projected inputs", of.inputs, MAX_INPUTS),
+        ("visual parameters", of.outputs, MAX_PARAMETERS),
+        ("numbers in its memory", of.memory, MAX_MEMORY),
+    ])?;
+    ensure!(
+        means <= MAX_MEANS,
+        "the model has {means} exponential means, the device takes {MAX_MEANS}"
+    );
+    tables.put_phones(&model.twin.phones)?;
+    tables.put_start_mean(&model.twin.start_mean);
+    let own = OwnSettings {
+        beam: beam(with.beam_bits)?,
         owns: [
             (of.maps.audio(), owns::AUDIO_MAPS),
             (of.rates.audio(), owns::AUDIO_RATES),
@@ -63,34 +74,10 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         .into_iter()
         .filter_map(|(has, bit)| has.then_some(bit))
         .sum(),
-        visual_densities: 0,
     };
-    let mut tables = Tables::new(
-        shape,
-        &[
-            ("phones", shape.phones, limit::PHONES),
-            ("context taps", shape.taps, limit::TAPS),
-            ("projected inputs", shape.inputs, limit::INPUTS),
-            ("visual parameters", shape.parameters, limit::PARAMETERS),
-            ("numbers in its memory", shape.memory, limit::MEMORY),
-        ],
-    )?;
-    ensure!(
-        shape.means <= limit::MEANS,
-        "the model has {} exponential means, the device takes {}",
-        shape.means,
-        limit::MEANS
-    );
-    tables.put_phones(&model.twin.phones)?;
-    tables.put_start_mean(&model.twin.start_mean);
-    let settings = RunSettings {
-        lag: 0,
-        beam_bits: with.beam_bits,
-        acoustic_scale: 1.0,
-        average: false,
-        visual_densities: false,
-    };
-    tables.put_settings(&settings, 0, 0)?;
+    let mut settings = Vec::new();
+    put_settings(&mut settings, &own);
+    tables.put(SETTINGS, settings, None);
     let initial: Vec<f32> = softmax(p.of(Group::Initial))
         .iter()
         .map(|p| p.max(1e-30).ln())
@@ -104,7 +91,7 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
     tables.put_context(model)?;
     tables.put_matrices(model)?;
     tables.put_gates(model)?;
-    tables.finish()
+    tables.finish(<Recurrent as Kind>::TAG)
 }
 
 impl Tables {
@@ -118,11 +105,13 @@ impl Tables {
         let mut shifts = Vec::new();
         for &shift in &of.context.shifts {
             match u8::try_from(shift) {
-                Ok(shift @ 1..=limit::MEAN_SHIFT) => shifts.push(shift),
+                Ok(shift @ 1..=MAX_MEAN_SHIFT) => shifts.push(shift),
                 _ => bail!("an exponential mean of rate 2^-{shift} is outside the device's 1..=12"),
             }
         }
-        self.put(Section::MeanShifts, shifts, None);
+        let mut bytes = Vec::new();
+        put_mean_shifts(&mut bytes, shifts);
+        self.put(MEAN_SHIFTS, bytes, None);
         let places: Vec<usize> = order
             .into_iter()
             .chain(of.context.taps.len()..of.context.taps.len() + of.context.shifts.len())
@@ -142,14 +131,7 @@ impl Tables {
                 .sum();
             rows.push(&weights, SIGNAL / STATIC, offset * SIGNAL)?;
         }
-        rows.store(
-            self,
-            [
-                Section::Projection,
-                Section::ProjectionShift,
-                Section::ProjectionOffset,
-            ],
-        );
+        rows.store_projection(self);
         Ok(())
     }
 
@@ -201,32 +183,34 @@ impl Tables {
             let step = largest / 127.0;
             let scale = step * output / input * f64::from(1 << SCALE_FRACTION_BITS);
             let most = if matrix.in_blocks {
-                limit::BLOCK_SCALE - 1
+                BLOCK_SCALE_LIMIT - 1
             } else {
                 i32::MAX
             };
             ensure!(
                 scale.round() <= f64::from(most),
-                "a weight of {largest} in {:?} is too large for the device's tables",
-                matrix.weights
+                "a weight of {largest} in {} is too large for the device's tables",
+                matrix.weights.name
             );
-            scales.extend((scale.round() as i32).to_le_bytes());
+            put_row_number(&mut scales, scale.round() as i32);
             for w in row {
                 codes.push(code(*w, step, largest, &mut errors));
             }
         }
-        let codes = laid_out(&codes, weights.ncols(), if matrix.in_blocks { BLOCK } else { 1 });
-        self.put(matrix.weights, codes, errors.report());
+        let mut bytes = Vec::new();
+        put_weights(&mut bytes, matrix, &codes, weights.ncols());
+        self.put(matrix.weights, bytes, errors.report());
         self.put(matrix.scale, scales, None);
         if let Some(section) = matrix.bias {
             let mut bytes = Vec::new();
             for b in bias {
                 let b = (b * output).round();
                 ensure!(
-                    b.abs() <= f64::from(limit::OFFSET),
-                    "a bias in {section:?} is too large for the device's tables"
+                    b.abs() <= f64::from(MAX_OFFSET),
+                    "a bias in {} is too large for the device's tables",
+                    section.name
                 );
-                bytes.extend((b as i32).to_le_bytes());
+                put_row_number(&mut bytes, b as i32);
             }
             self.put(section, bytes, None);
         }
@@ -246,7 +230,7 @@ impl Tables {
                 Group::AudioOffset,
                 Group::AudioRate,
             ],
-            sections: [Section::AudioGates, Section::AudioGateScale],
+            sections: [AUDIO_GATES, AUDIO_GATE_SCALE],
             states: of.audio_states(),
         };
         let visual = Owned {
@@ -258,61 +242,59 @@ impl Tables {
                 Group::VisualOffset,
                 Group::VisualRate,
             ],
-            sections: [Section::VisualGates, Section::VisualGateScale],
+            sections: [VISUAL_GATES, VISUAL_GATE_SCALE],
             states: N_VISUAL_STATES,
         };
         for owned in [audio, visual] {
             let mut errors = Errors::new("relative to a state's largest");
             let (mut bytes, mut scales) = (Vec::new(), Vec::new());
             for state in 0..owned.states {
-                for group in &owned.groups[..3] {
+                let mut maps = [Vec::new(), Vec::new(), Vec::new()];
+                let mut scale = [0; 3];
+                for ((group, map), scale) in owned.groups[..3].iter().zip(&mut maps).zip(&mut scale) {
                     let mut step = 0.0;
                     if owned.maps {
                         let row = p.row(*group, state);
                         let largest = row.iter().fold(0f64, |m, w| m.max(f64::from(w.abs())));
                         step = largest / 127.0;
-                        bytes.extend(
+                        map.extend(
                             row.iter()
                                 .map(|w| code(f64::from(*w), step, largest, &mut errors)),
                         );
                     }
-                    let scale = (step * f64::from(1 << SCALE_FRACTION_BITS)).round();
+                    let whole = (step * f64::from(1 << SCALE_FRACTION_BITS)).round();
                     ensure!(
-                        scale <= f64::from(i32::MAX),
+                        whole <= f64::from(i32::MAX),
                         "what a state owns is too large for the device's tables"
                     );
-                    scales.extend((scale as i32).to_le_bytes());
+                    *scale = whole as i32;
                 }
+                let mut rates = Vec::new();
                 if owned.rates {
                     let logits = p.row(owned.groups[3], state);
-                    bytes.extend(
+                    rates.extend(
                         logits
                             .iter()
                             .map(|l| (f64::from(*l) * 16.0 + 128.0).round().clamp(0.0, 255.0) as u8),
                     );
                 }
+                let maps = maps.each_ref().map(|map| &map[..]);
+                put_gate(&mut bytes, &mut scales, maps, &rates, scale);
             }
             self.put(owned.sections[0], bytes, errors.report());
             self.put(owned.sections[1], scales, None);
         }
         let mut errors = Errors::new("signal");
-        let first: Vec<u8> = p
-            .of(Group::FirstMemory)
-            .iter()
-            .flat_map(|h| {
-                let value = f64::from(*h) * SIGNAL;
-                let q = errors.round(value, 32767.0);
-                errors.add((q - value) / SIGNAL);
-                (q as i16).to_le_bytes()
-            })
-            .collect();
-        self.put(Section::FirstMemory, first, errors.report());
-        let scale = model
-            .deviation
-            .iter()
-            .flat_map(|d| (d / SIGNAL as f32).to_le_bytes())
-            .collect();
-        self.put(Section::ParameterScale, scale, None);
+        let first = p.of(Group::FirstMemory).iter().map(|h| {
+            let value = f64::from(*h) * SIGNAL;
+            let q = errors.round(value, 32767.0);
+            errors.add((q - value) / SIGNAL);
+            q as i16
+        });
+        let mut bytes = Vec::new();
+        put_first_memory(&mut bytes, first);
+        self.put(FIRST_MEMORY, bytes, errors.report());
+        self.put_mouth(model.deviation.iter().map(|d| d / SIGNAL as f32));
         Ok(())
     }
 }
@@ -327,30 +309,12 @@ struct Owned {
     states: usize,
 }
 
-/// Codes row by row to blocks of so many rows and [`BLOCK`] columns, filled up with zeros.
-fn laid_out(codes: &[u8], columns: usize, block_rows: usize) -> Vec<u8> {
-    let rows = codes.len() / columns.max(1);
-    let mut out = Vec::new();
-    for first_row in (0..rows).step_by(block_rows) {
-        for first_column in (0..columns).step_by(BLOCK) {
-            for row in first_row..first_row + block_rows {
-                for column in first_column..first_column + BLOCK {
-                    let inside = row < rows && column < columns;
-                    let weight = if inside { codes[row * columns + column] } else { 0 };
-                    out.push(weight ^ 0x80);
-                }
-            }
-        }
-    }
-    out
-}
-
 /// `w` in steps, held to ±127.
-fn code(w: f64, step: f64, largest: f64, errors: &mut Errors) -> u8 {
+fn code(w: f64, step: f64, largest: f64, errors: &mut Errors) -> i8 {
     if largest == 0.0 {
         return 0;
     }
     let q = errors.round(w / step, 127.0);
     errors.add((q * step - w) / largest);
-    q as i8 as u8
+    q as i8
 }

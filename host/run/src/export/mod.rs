@@ -1,13 +1,14 @@
 //! The float model quantised into the device's tables, and how much was lost on the way.
 //!
-//! The layout of the tables is [`lipstream_core::model::field`]; equal models give equal bytes. `tables.rs` has what
-//! every model has, `local_linear.rs` and `mge.rs` what their kind needs.
+//! The layout of the tables and the writers of their sections are the core's ([`lipstream_core::model`]); equal models give equal
+//! bytes. `tables.rs` has what every model has, `local_linear.rs` and `mge.rs` what their kind needs.
 pub mod budget;
 mod local_linear;
 mod mge;
 mod tables;
 
 use anyhow::{Result, bail};
+use lipstream_core::kinds::{Kind, Likelihood};
 use serde::Serialize;
 
 use crate::hmm::system::System;
@@ -81,7 +82,7 @@ pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
             System::LOCAL_LINEAR.name
         );
     }
-    let mut tables = local_linear::begin(model, with.visual_densities)?;
+    let mut tables = local_linear::begin(model)?;
     tables.put_phones(&model.phones)?;
     tables.put_start_mean(&model.start_mean);
     let distance_gain = tables.put_audio_densities(&model.audio)?;
@@ -89,7 +90,7 @@ pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
         true => tables.put_visual_densities(model)?,
         false => 0,
     };
-    tables.put_settings(with, distance_gain, visual_distance_gain)?;
+    tables.put_likelihood_settings(with, distance_gain, visual_distance_gain)?;
     tables.put_transitions(
         &model.phones,
         &model.transition,
@@ -98,5 +99,5 @@ pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
     )?;
     tables.put_projection(model)?;
     tables.put_maps(model)?;
-    tables.finish()
+    tables.finish(<Likelihood as Kind>::TAG)
 }

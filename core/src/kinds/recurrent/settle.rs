@@ -21,18 +21,19 @@ const LEAST_SHARE: u32 = 1 << (SHARE_BITS - 4);
 /// shown last. Values come to rest within 1/128 deviation of where they go.
 pub fn settle(before: &[i16], mouth: &mut [i16]) {
     let mut sum = 0u32;
-    let mut all = 0u32;
+    // What the sum is for a mouth that is followed at once.
+    let mut enough = 0u32;
     for (s, y) in before.iter().zip(mouth.iter()) {
         let way = (i32::from(*y) - i32::from(*s)).clamp(-LIMIT, LIMIT);
         // 64 of at most 2²⁴.
         sum += (way * way) as u32;
-        all += LEAST_MOTION;
+        enough += LEAST_MOTION;
     }
-    if sum >= all {
+    if sum >= enough {
         return;
     }
     // sum < 64·10486 < 2²⁰.
-    let share = ((sum << SHARE_BITS) / all).max(LEAST_SHARE) as i32;
+    let share = ((sum << SHARE_BITS) / enough).max(LEAST_SHARE) as i32;
     for (s, y) in before.iter().zip(mouth) {
         // Below 2¹² · 2¹⁰, as the sum is small.
         let way = (i32::from(*y) - i32::from(*s)) * share;

@@ -1,26 +1,24 @@
 //! Fixed-lag smoothing: the last frames' tokens, and the occupancies of a frame given what came up to L frames later.
 //!
 //! γ_t(s) ∝ α_t(s)·β_t(s), with β_n = 1 at the newest frame n and β_t(s) = Σ P(s→s')·b_{t+1}(s')·β_{t+1}(s')
-//! below it: the exact backward pass over the window (X&L section 3.4 has it over the utterance). A token whose γ falls
+//! below it: the exact backward pass over the window (Xie & Liu 2007 (X&L), section 3.4, has it over the utterance). A token whose γ falls
 //! out of the beam on the way is dropped for good, so that the window thins out with age.
+use super::Likelihood;
 use super::feedback::Seen;
-use super::gates::share;
-use super::token::{PhonesByViseme, Scores, Token, backward, begin, forward};
-use super::transition::JointState;
+use crate::hmm::gates::share;
+use crate::hmm::token::{PhonesByViseme, Scores, Token, backward, begin, forward};
+use crate::hmm::transition::{JointState, MAX_AUDIO_STATES, N_VISUAL_STATES};
 use crate::logmath::{LogProb, NEVER_I16};
-use crate::model::Model;
-use crate::model::field::{N_EMITTING, N_VISUAL_STATES, limit};
 
-/// Audio states of the largest model.
-pub const MAX_AUDIO_STATES: usize = N_EMITTING * limit::PHONES;
-
-/// One frame: its tokens, and the log likelihoods that went into them relative to the largest, Q7.8.
+/// What the window keeps of one frame.
 #[derive(Clone, Debug)]
 pub struct Frame<const TOKENS: usize> {
+    /// Its active joint states.
     pub tokens: heapless::Vec<Token, TOKENS>,
-    /// By audio state; [`NEVER_I16`] where nothing was active.
+    /// Log likelihood of the sound in each audio state, as the forward pass has used it: log2 relative to the likeliest state, Q7.8;
+    /// [`NEVER_I16`] for states that were not asked for. The backward pass needs it again.
     pub emission: [i16; MAX_AUDIO_STATES],
-    /// Of a mouth that feeds back.
+    /// The mouth of this frame as re-estimation has left it; unused where the maps speak.
     pub seen: Seen,
 }
 
@@ -33,20 +31,20 @@ impl<const TOKENS: usize> Frame<TOKENS> {
 
     /// What the sound says of a joint state.
     #[inline]
-    fn heard(&self, _: &Model, state: JointState) -> LogProb {
+    fn heard(&self, _: &Likelihood, state: JointState) -> LogProb {
         LogProb::from_score(self.emission.get(state.audio()).copied().unwrap_or(NEVER_I16))
     }
 
     /// What sound and mouth say of it.
     #[inline]
-    fn heard_and_seen(&self, model: &Model, state: JointState) -> LogProb {
-        let visual = state.visual(model.viseme(state.phone()));
+    fn heard_and_seen(&self, model: &Likelihood, state: JointState) -> LogProb {
+        let visual = state.visual(model.hmm().viseme(state.phone()));
         self.heard(model, state).times(self.seen.emission(visual))
     }
 }
 
 /// What a frame says of a joint state.
-type Emission<const TOKENS: usize> = fn(&Frame<TOKENS>, &Model, JointState) -> LogProb;
+type Emission<const TOKENS: usize> = fn(&Frame<TOKENS>, &Likelihood, JointState) -> LogProb;
 
 /// The last frames, `FRAMES` at most: a lag of `FRAMES` − 1 at most.
 #[derive(Clone, Debug)]
@@ -59,6 +57,7 @@ pub struct Window<const TOKENS: usize, const FRAMES: usize> {
 }
 
 impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
+    /// Without frames.
     #[inline(always)]
     pub const fn new() -> Self {
         Self {
@@ -69,6 +68,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
         }
     }
 
+    /// Forgets all frames.
     pub fn reset(&mut self) {
         self.length = 0;
         self.newest = 0;
@@ -79,6 +79,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
         self.length
     }
 
+    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.length == 0
     }
@@ -108,7 +109,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
     /// 65 LSB. `scores` must be clear and is clear again afterwards.
     pub fn occupancies(
         &mut self,
-        model: &Model,
+        model: &Likelihood,
         phones: &PhonesByViseme,
         beam: LogProb,
         age: usize,
@@ -139,7 +140,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
     #[inline(always)]
     fn back(
         &mut self,
-        model: &Model,
+        model: &Likelihood,
         phones: &PhonesByViseme,
         beam: LogProb,
         age: usize,
@@ -155,7 +156,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
         }
         if let Some(frame) = self.frames.get_mut(earlier) {
             let mut best = LogProb::NEVER;
-            backward(model, phones, &frame.tokens, scores, |i, beta| {
+            backward(model.hmm(), phones, &frame.tokens, scores, |i, beta| {
                 if let (Some(to), Some(token)) = (worth.get_mut(i), frame.tokens.get(i)) {
                     *to = beta;
                     best = best.max(beta.times(LogProb::from_score(token.score)));
@@ -170,7 +171,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
     /// likelihood to the power of `exponent` (Q16.16). `scores` must be clear and is clear again afterwards.
     pub fn sweep(
         &mut self,
-        model: &Model,
+        model: &Likelihood,
         phones: &PhonesByViseme,
         beam: LogProb,
         lag: usize,
@@ -190,8 +191,8 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
         let floor = LogProb::from_q12(-beam.q12());
         for age in (0..=oldest).rev() {
             match self.frames.get(self.place(age + 1)) {
-                Some(before) if age < last => forward(model, phones, &before.tokens, floor, scores),
-                _ => begin(model, scores),
+                Some(before) if age < last => forward(model.hmm(), phones, &before.tokens, floor, scores),
+                _ => begin(model.hmm(), scores),
             }
             let place = self.place(age);
             if let Some(frame) = self.frames.get_mut(place) {
@@ -225,7 +226,7 @@ impl<const TOKENS: usize, const FRAMES: usize> Window<TOKENS, FRAMES> {
 /// α of the frame's tokens anew: what arrives in them (`scores`) times what sound and mouth say. Those that fall out of the beam
 /// are dropped; if nothing arrives at all, the frame stays as it was.
 fn weigh<const TOKENS: usize>(
-    model: &Model,
+    model: &Likelihood,
     frame: &mut Frame<TOKENS>,
     room: &mut [LogProb; TOKENS],
     scores: &Scores,
@@ -289,7 +290,7 @@ fn thin<const TOKENS: usize>(
 
 /// Σ αβ by visual state, divided by the whole.
 fn add_up<const TOKENS: usize>(
-    model: &Model,
+    model: &Likelihood,
     frame: &Frame<TOKENS>,
     worth: &[LogProb; TOKENS],
     occupancy: &mut [u32; N_VISUAL_STATES],
@@ -298,7 +299,7 @@ fn add_up<const TOKENS: usize>(
     let mut total: u32 = 0;
     for (token, beta) in frame.tokens.iter().zip(worth) {
         let weight = LogProb::from_score(token.score).times(*beta).exp2();
-        let visual = token.state.visual(model.viseme(token.state.phone()));
+        let visual = token.state.visual(model.hmm().viseme(token.state.phone()));
         // At most 1872 terms of 2¹⁶: below 2²⁷.
         total += weight;
         if let Some(sum) = occupancy.get_mut(visual) {

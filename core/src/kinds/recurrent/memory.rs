@@ -2,13 +2,13 @@
 //!
 //! w = Σγ G, r = Σγ R, λ = Σγ Λ over both chains' states; h ← h + λ∘(V_d z ∘ w + r − h);
 //! ŷ = W₀ z + b₀ + Σγ B + O h.
+use super::Recurrent;
 use super::rate::rate;
 use super::rows::{self, Inputs};
+use super::tables::{Gate, MAX_MEMORY, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS};
 use crate::fixed::{mul_high_rounded, round_shift, saturate_i16};
+use crate::frame::MAX_PARAMETERS;
 use crate::hmm::gates::{Gates, N_GATES};
-use crate::model::field::{Matrix, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS, limit};
-use crate::model::{Gate, Model};
-use crate::parameters::MAX_PARAMETERS;
 
 /// Fraction bits of the memory.
 const MEMORY_FRACTION_BITS: u32 = 16;
@@ -19,25 +19,25 @@ const SUM_FRACTION_BITS: u32 = 20;
 #[derive(Clone, Debug)]
 pub struct Memory {
     /// Q15.16, of which the model's first H are meaningful.
-    h: [i32; limit::MEMORY],
+    h: [i32; MAX_MEMORY],
     /// ŷ, Q5.10.
     mouth: [i16; MAX_PARAMETERS],
 }
 
 /// Sums over the gates of a frame, Q11.20; rates Q0.32, the bits of a u32.
 struct Sums {
-    gain: [i32; limit::MEMORY],
-    drive: [i32; limit::MEMORY],
-    rate: [i32; limit::MEMORY],
+    gain: [i32; MAX_MEMORY],
+    drive: [i32; MAX_MEMORY],
+    rate: [i32; MAX_MEMORY],
     offset: [i32; MAX_PARAMETERS],
 }
 
 impl Sums {
     const fn new() -> Self {
         Self {
-            gain: [0; limit::MEMORY],
-            drive: [0; limit::MEMORY],
-            rate: [0; limit::MEMORY],
+            gain: [0; MAX_MEMORY],
+            drive: [0; MAX_MEMORY],
+            rate: [0; MAX_MEMORY],
             offset: [0; MAX_PARAMETERS],
         }
     }
@@ -119,18 +119,19 @@ fn add_step<const N: usize>(
 }
 
 impl Memory {
+    /// All zeros; [`Memory::reset`] puts it where a stream begins.
     #[inline(always)]
     pub const fn new() -> Self {
         Self {
-            h: [0; limit::MEMORY],
+            h: [0; MAX_MEMORY],
             mouth: [0; MAX_PARAMETERS],
         }
     }
 
     /// What stands before the first frame.
-    pub fn reset(&mut self, model: &Model) {
+    pub fn reset(&mut self, model: &Recurrent) {
         self.mouth = [0; MAX_PARAMETERS];
-        self.h = [0; limit::MEMORY];
+        self.h = [0; MAX_MEMORY];
         for (h, first) in self.h.iter_mut().zip(model.first_memory().iter()) {
             *h = i32::from(first) << (MEMORY_FRACTION_BITS - SIGNAL_FRACTION_BITS);
         }
@@ -144,7 +145,7 @@ impl Memory {
     /// One frame: z (Q5.10) and the states that speak; gives ŷ, Q5.10.
     pub fn step(
         &mut self,
-        model: &Model,
+        model: &Recurrent,
         z: &[i16],
         audio: &Gates,
         visual: &Gates,
@@ -156,7 +157,7 @@ impl Memory {
         sums.add(visual.iter().map(seen));
         let memory = &mut self.h;
         let heard = Inputs::new(z);
-        rows::product(&model.blocks(Matrix::DRIVE, z.len()), &heard, |i, d| {
+        rows::product(model.drive(), &heard, |i, d| {
             let (Some(h), Some(w), Some(r), Some(rate)) = (
                 memory.get_mut(i),
                 sums.gain.get(i),
@@ -173,20 +174,19 @@ impl Memory {
             let way = target - *h;
             *h += mul_high_rounded(way, (*rate as u32 >> 1) as i32) << 1;
         });
-        let mut read = [0; limit::MEMORY];
+        let mut read = [0; MAX_MEMORY];
         for (to, h) in read.iter_mut().zip(&self.h) {
             *to = saturate_i16(round_shift(*h, MEMORY_FRACTION_BITS - SIGNAL_FRACTION_BITS));
         }
-        let shape = model.shape();
-        let read = read.get(..shape.memory).unwrap_or(&[]);
+        let read = read.get(..model.n_memory()).unwrap_or(&[]);
         let mut out = [0i32; MAX_PARAMETERS];
-        rows::product(&model.blocks(Matrix::OUTPUT, z.len()), &heard, |i, value| {
+        rows::product(model.output(), &heard, |i, value| {
             if let Some(to) = out.get_mut(i) {
                 *to = value;
             }
         });
         let read = Inputs::new(read);
-        rows::product(&model.blocks(Matrix::MEMORY, shape.memory), &read, |i, value| {
+        rows::product(model.memory(), &read, |i, value| {
             if let (Some(to), Some(offset)) = (out.get_mut(i), sums.offset.get(i)) {
                 let offset = offset >> (SUM_FRACTION_BITS - SIGNAL_FRACTION_BITS);
                 *to = to.saturating_add(value).saturating_add(offset);
@@ -194,7 +194,7 @@ impl Memory {
         });
         let said: heapless::Vec<i16, MAX_PARAMETERS> = out
             .iter()
-            .take(shape.parameters)
+            .take(model.n_parameters)
             .map(|y| saturate_i16(*y))
             .collect();
         for (to, from) in self.mouth.iter_mut().zip(&said) {

@@ -2,30 +2,29 @@
 //!
 //! Four rows share a walk through the statics. Products of halfwords are summed in 32 bits: the mantissas of a row add up to less
 //! than 2¹⁶, as the checked tables see to it, so that no statics can overflow a sum.
+use super::tables::{ContextTables, MAX_INPUTS, MAX_MEANS, MAX_TAPS, SumRow};
+use crate::N_STATIC;
 use crate::fixed::{halves, mul_halves, round_shift_i64, saturate_i16, saturate_i32};
-use crate::model::Model;
-use crate::model::field::limit;
-use crate::{N_STATIC, model::SumRow};
 
 /// Largest number of numbers in a context.
-pub const MAX_CONTEXT: usize = N_STATIC * (limit::TAPS + limit::MEANS);
+pub const MAX_CONTEXT: usize = N_STATIC * (MAX_TAPS + MAX_MEANS);
 
 /// Rows that share a walk.
 const ROWS: usize = 4;
 /// Words of two halfwords that are unrolled.
 const WORDS: usize = 28;
 
-/// The model's projection of `context` (Q7.8, as long as the model's context): Q5.11 for local linear maps, Q5.10 for a
-/// model with a memory; the model's first X numbers are meaningful.
-pub fn project(model: &Model, context: &[i16]) -> [i16; limit::INPUTS] {
+/// The projection of `context` (Q7.8, as long as the tables' context), in the LSB of the kind's maps: Q5.11 of a
+/// likelihood-trained model, Q5.10 of a recurrent one. The first [`ContextTables::n_inputs`] numbers are meaningful.
+pub fn project(tables: &ContextTables, context: &[i16]) -> [i16; MAX_INPUTS] {
     let mut words = [0u32; MAX_CONTEXT / 2];
     let (pairs, last) = context.as_chunks();
     for (word, [low, high]) in words.iter_mut().zip(pairs) {
         *word = halves(*low, *high);
     }
     let words = words.get(..pairs.len()).unwrap_or(&[]);
-    let mut x = [0; limit::INPUTS];
-    let mut rows = model.projection();
+    let mut x = [0; MAX_INPUTS];
+    let mut rows = tables.projection();
     for to in x.chunks_mut(ROWS) {
         let some: [Option<SumRow>; ROWS] = core::array::from_fn(|_| rows.next());
         // Where rows are missing, the first one stands for them too.

@@ -4,9 +4,9 @@
 //! halfwords and their addition are one instruction on Cortex-M4 ([`mul_halves`]); 128·Σinput is taken off at the start. Two
 //! layouts: row by row (U, F), of which a frame asks for some rows only, [`row`]; and in blocks of [`BLOCK`] rows (V_d, W₀, O), of
 //! which all are wanted and share a walk through the inputs, [`product`].
+use super::tables::{BLOCK, Blocks, MAX_MEMORY, Rows, SCALE_FRACTION_BITS};
+use crate::context::tables::MAX_INPUTS;
 use crate::fixed::{halves, mul_halves, mul_high_rounded, round_shift_i64, saturate_i32};
-use crate::model::field::{BLOCK, SCALE_FRACTION_BITS, limit};
-use crate::model::{Blocks, Rows};
 
 /// bias + scale·sum / 2²⁴, rounded; held to 32 bits.
 #[inline]
@@ -16,7 +16,10 @@ fn scaled(sum: i32, scale: i32, bias: i32) -> i32 {
     saturate_i32(round_shift_i64(product, SCALE_FRACTION_BITS) + i64::from(bias))
 }
 
-/// Were the mask of every other byte a constant to the compiler, it would take the bytes out one by one instead.
+/// The mask that leaves every other byte of a word.
+///
+/// It is hidden from the compiler on purpose. If the compiler knew its value, it would see that the AND picks out single bytes, and
+/// would load each byte by itself: more instructions than the AND of the whole word that the kernels want.
 #[inline(always)]
 fn mask() -> u32 {
     core::hint::black_box(0x00ff_00ff)
@@ -67,10 +70,10 @@ fn dot_step(sum: i32, weights: &[[u8; BLOCK]; STEP], inputs: &[[u32; 2]; STEP], 
 }
 
 /// The largest number of columns of a matrix in blocks.
-const MAX_COLUMNS: usize = if limit::MEMORY > limit::INPUTS {
-    limit::MEMORY
+const MAX_COLUMNS: usize = if MAX_MEMORY > MAX_INPUTS {
+    MAX_MEMORY
 } else {
-    limit::INPUTS
+    MAX_INPUTS
 };
 
 /// A vector as [`product`] takes it.

@@ -3,11 +3,10 @@
 //! log2 Σ_k w_k·N(o; μ_k, σ_k²) = log2 Σ_k 2^(c_k − ½ log2 e · Σ_d ((o_d − μ_kd)/σ_kd)²), from i8 means and u8
 //! inverse deviations. The result, to the power of the acoustic scale, is what the forward pass sees: diagonal
 //! Gaussians over overlapping windows are overconfident at scale 1.
+use super::tables::{DISTANCE_SHIFT, MEAN_SHIFT, MixtureTables, OBSERVATION_LIMIT};
 use crate::N_OBSERVATION;
 use crate::fixed::saturate_i32;
 use crate::logmath::LogProb;
-use crate::model::Model;
-use crate::model::field::{DISTANCE_SHIFT, MEAN_SHIFT, OBSERVATION_LIMIT};
 
 /// Log likelihoods are held to ±2¹⁵ bits.
 const LIMIT: i64 = 1 << 27;
@@ -18,13 +17,9 @@ pub struct Scaled([i16; N_OBSERVATION]);
 
 impl Scaled {
     /// From the front end's 39 numbers, Q7.8.
-    pub fn new(model: &Model, observation: &[i16; N_OBSERVATION]) -> Self {
+    pub fn new(audio: &MixtureTables, observation: &[i16; N_OBSERVATION]) -> Self {
         let mut scaled = [0; N_OBSERVATION];
-        for ((to, from), (centre, gain)) in scaled
-            .iter_mut()
-            .zip(observation)
-            .zip(model.observation_scaling())
-        {
+        for ((to, from), (centre, gain)) in scaled.iter_mut().zip(observation).zip(audio.scaling()) {
             *to = place(*from, centre, gain);
         }
         Self(scaled)
@@ -70,10 +65,10 @@ pub(super) fn powered(log: LogProb, exponent: u32) -> LogProb {
 }
 
 /// Log likelihood of an observation in audio state 5·phone + i, to the power of `acoustic_scale` (Q16.16).
-pub fn log_likelihood(model: &Model, state: usize, scaled: &Scaled, acoustic_scale: u32) -> LogProb {
-    let gain = model.distance_gain();
+pub fn log_likelihood(audio: &MixtureTables, state: usize, scaled: &Scaled, acoustic_scale: u32) -> LogProb {
+    let gain = audio.distance_gain();
     let mut sum = LogProb::NEVER;
-    for density in model.mixture(state) {
+    for density in audio.of(state) {
         let Some(constant) = density.constant else {
             continue;
         };
