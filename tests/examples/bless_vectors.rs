@@ -81,7 +81,8 @@ fn main() {
         .expect("a random model can be exported")
         .bytes;
     let tables = Model::<Likelihood>::new_checked(&bytes).expect("what was exported is a model");
-    let float = recurrent(&mut Pcg64::seed_from_u64(2027));
+    // Of a few seeds the one whose visemes change most.
+    let float = recurrent(&mut Pcg64::seed_from_u64(1));
     let recurrent_bytes = export_mge(&float, &MgeSettings::default())
         .expect("a random model can be exported")
         .bytes;
