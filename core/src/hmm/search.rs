@@ -96,7 +96,6 @@ impl Search {
 
     /// Leaves in `tokens` the joint states of the scores that the beam keeps, `best` being the best score, and clears the scores.
     /// `held_back`: whether a bound of the kind's own has held something back in this frame.
-    #[inline]
     pub fn prune<const N: usize>(
         &mut self,
         best: LogProb,

@@ -25,6 +25,7 @@ pub const NAME_SIZE: usize = 4;
 /// What a coupled HMM knows of phones: which there are, how they look, what follows what.
 #[derive(Clone, Copy, Debug)]
 pub struct HmmTables<'a> {
+    n_phones: usize,
     visemes: &'a [u8],
     names: &'a [u8],
     transitions: I16s<'a>,
@@ -52,6 +53,7 @@ impl<'a> HmmTables<'a> {
             Ok(values)
         };
         let tables = Self {
+            n_phones: p,
             visemes,
             names,
             transitions: logs(TRANSITIONS, p * N_CLASSES * N_CHOICES)?,
@@ -72,7 +74,7 @@ impl<'a> HmmTables<'a> {
     /// P, the number of phones.
     #[inline]
     pub fn n_phones(&self) -> usize {
-        self.visemes.len()
+        self.n_phones
     }
 
     /// Viseme of a phone, below 13.
@@ -101,7 +103,7 @@ impl<'a> HmmTables<'a> {
     /// Log P(next | phone) for every next phone, Q5.10.
     #[inline]
     pub fn bigram(&self, phone: usize) -> I16s<'a> {
-        self.bigram.row(phone, self.visemes.len())
+        self.bigram.row(phone, self.n_phones)
     }
 
     /// Log P(viseme of the next phone | phone) for every viseme, Q5.10.

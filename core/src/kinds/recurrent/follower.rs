@@ -140,7 +140,7 @@ fn keep_likeliest(scores: &mut Scores, most: usize) -> bool {
 
 /// Adds the log emissions to every score. Gives the best score.
 fn emit(model: &Recurrent, z: &[i16], mouth: &[i16], scores: &mut Scores) -> LogProb {
-    let (audio_rows, visual_rows) = (model.audio(), model.visual());
+    let (hmm, audio_rows, visual_rows) = (model.hmm(), model.audio(), model.visual());
     let (z, mouth) = (Inputs::new(z), Inputs::new(mouth));
     // `NEVER`: not asked for yet.
     let mut audio_logs = [LogProb::NEVER; MAX_AUDIO_STATES];
@@ -158,7 +158,7 @@ fn emit(model: &Recurrent, z: &[i16], mouth: &[i16], scores: &mut Scores) -> Log
             return;
         }
         let audio = state.audio();
-        let visual = state.visual(model.hmm().viseme(state.phone()));
+        let visual = state.visual(hmm.viseme(state.phone()));
         let (Some(heard), Some(seen)) = (audio_logs.get_mut(audio), visual_logs.get_mut(visual)) else {
             return;
         };

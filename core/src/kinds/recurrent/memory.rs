@@ -182,7 +182,8 @@ impl Memory {
         let mut out = [0i32; MAX_PARAMETERS];
         rows::product(model.output(), &heard, |i, value| {
             if let Some(to) = out.get_mut(i) {
-                *to = value;
+                // The bias is within ±2³⁰, as the value is.
+                *to = value + model.output().scaling.bias(i);
             }
         });
         let read = Inputs::new(read);

@@ -114,15 +114,16 @@ impl Inputs {
     }
 }
 
-/// All rows of the product, one call of `out(row, value)` each. `inputs` has as many numbers as the matrix has columns.
+/// All rows of the product, one call of `out(row, value)` each, without the bias that some matrices have. `inputs` has as many
+/// numbers as the matrix has columns.
 #[inline]
 pub fn product(rows: &Blocks, inputs: &Inputs, mut out: impl FnMut(usize, i32)) {
     for (block, first) in rows.blocks().zip((0..).step_by(BLOCK)) {
         let sums = dot_block(block, inputs.words(), inputs.start);
         for (row, sum) in (first..rows.len()).zip(sums) {
-            // Below 2³⁰ · 2³¹ / 2³²; the bias is within ±2³⁰.
+            // Below 2³⁰ · 2³¹ / 2³² in size.
             let value = mul_high_rounded(sum, rows.scaling.scale(row) << (32 - SCALE_FRACTION_BITS));
-            out(row, value + rows.scaling.bias(row));
+            out(row, value);
         }
     }
 }

@@ -381,7 +381,6 @@ impl<'a> GateTables<'a> {
         })
     }
 
-    #[inline]
     pub(super) fn of(&self, state: usize) -> Gate<'a> {
         let [h, d, rates] = self.sizes;
         let size = 2 * h + d + rates;
