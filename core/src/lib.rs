@@ -38,6 +38,7 @@
 //! number.
 #![no_std]
 #![deny(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod context;
 pub mod fixed;

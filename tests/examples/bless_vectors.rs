@@ -2,9 +2,11 @@
 use std::path::Path;
 
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
-use lipstream::mge::context::Context;
-use lipstream::mge::model::MgeModel;
-use lipstream::mge::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal};
+use lipstream::kinds::recurrent::context::Context;
+use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::parameters::{
+    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
+};
 use lipstream::synthetic::{Sizes, model};
 use lipstream_core::kinds::Kind;
 use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};

@@ -30,7 +30,9 @@ pub const FFT_HALF: usize = 256;
 /// A complex number; the Q format is its user's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Complex {
+    /// Real part.
     pub re: i32,
+    /// Imaginary part.
     pub im: i32,
 }
 

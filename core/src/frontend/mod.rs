@@ -39,6 +39,7 @@ pub struct Hop {
     pub statics: Option<[i16; N_STATIC]>,
     /// Frame (`index` − 4)'s 39 numbers; none for the first four hops.
     pub observation: Option<[i16; N_OBSERVATION]>,
+    /// Hops since the beginning, modulo 2³².
     pub index: u32,
 }
 
@@ -82,6 +83,7 @@ struct Scratch {
 }
 
 impl FrontEnd {
+    /// At the beginning of a stream. Inlined into the place that it is made for: copies of the state cost a device its stack.
     #[inline(always)]
     pub fn new(config: Config) -> Self {
         Self {
