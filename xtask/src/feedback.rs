@@ -7,7 +7,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use lipstream::engine::{Engine, RunSettings};
+use lipstream::engine::{Engine, FloatModel, RunSettings};
 use lipstream::export::{ExportSettings, export};
 use lipstream::kinds::likelihood::Model;
 use lipstream_make::evaluate::metrics::Score;
@@ -30,7 +30,7 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
         ..ExportSettings::of(&model)
     };
     let device = Engine::fixed(export(&model, &with)?.bytes)?;
-    let floats = Engine::Float(Box::new(model));
+    let floats = Engine::from(FloatModel::Likelihood(Box::new(model)));
     let score = |engine: &Engine, feedback: Option<f64>| -> Result<Score> {
         let run = RunSettings {
             lag: Some(lag),

@@ -1,28 +1,34 @@
 //! Sound to mouth parameters: `fixed` is the very code of the device, `float` the offline arithmetic that it stands for.
+use std::borrow::Cow;
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use lipstream_core::hmm::search::MAX_BEAM;
 use lipstream_core::kinds::likelihood::FRAMES;
 use lipstream_core::kinds::likelihood::tables::MAX_ACOUSTIC_SCALE;
 use lipstream_core::logmath::{FRACTION_BITS, LogProb};
+use lipstream_core::model::ModelError;
 use lipstream_core::model::container::MAGIC;
 use lipstream_core::settings::Setting;
 use lipstream_core::wire::Profile;
 use lipstream_core::{AnyModel as Tables, AnyStream, ParameterFrame, StreamSettings};
+use lipstream_media::files;
 use ndarray::{Array2, Axis};
 
 use crate::export::{ExportSettings, MgeSettings, export, export_mge};
 use crate::hmm::Hmm;
+use crate::hmm::system::Speech;
 use crate::kinds::likelihood::convert::{Follower, Lag, convert, smooth, viseme_weights};
 use crate::kinds::likelihood::inversion::Inverter;
+use crate::kinds::likelihood::live::{Live as LocalLinear, NotFinite};
 use crate::kinds::likelihood::{EmSettings, Model};
-use crate::kinds::recurrent::live;
+use crate::kinds::recurrent::live::Live;
 use crate::kinds::recurrent::model::MgeModel;
-use crate::kinds::recurrent::settle::settle;
-use crate::reference::{self, Normalisation};
+use crate::phones::VISEMES;
+use crate::reference::Normalisation;
+use crate::reference::observer::Observer;
+use crate::session::{Frame, Running, Session, Whole};
 use crate::tensors::Tensors;
-use lipstream_media::files;
 
 /// Which arithmetic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,28 +42,99 @@ pub enum Kind {
 /// What may be asked for at run time; None is the model's own.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RunSettings {
-    /// Hops.
+    /// Hops that an occupancy waits for.
     pub lag: Option<u16>,
-    /// Width of the beam; `fixed` only.
+    /// Width of the beam in bits; `fixed` only.
     pub beam_bits: Option<f64>,
     /// The mouth by EM inside the lag window, with this exponent on its likelihood; the maps' where none is given.
     pub feedback: Option<f64>,
     /// How much of the future may be waited for; all that the model can use where none is given.
     pub profile: Option<Profile>,
-    /// Whether a mouth that hardly moves is followed slowly; models trained on the error of their mouth only.
+    /// Whether a mouth that hardly moves is followed slowly; recurrent models only.
     pub settle: Option<bool>,
 }
 
-const NO_SETTLING: &str =
-    "only models trained on the error of their mouth settle it: leave --no-settling out";
+/// A setting that the engine or the model does not have, or that is out of its range.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum SettingError {
+    #[error("only models trained on the error of their mouth settle it")]
+    Settle,
+    #[error("the tables have no visual densities to re-estimate the mouth with")]
+    Feedback,
+    #[error("the float engine has no beam")]
+    FloatBeam,
+    #[error("in floats a model with a lag has no profiles")]
+    FloatProfile,
+    #[error("a model trained on the error of its mouth has neither beam, lag nor EM in floats")]
+    FloatRecurrent,
+    #[error("a lag of {lag} hops is too long: the device has room for {most}")]
+    Lag { lag: u16, most: usize },
+    #[error("a beam of {bits} bits is out of range")]
+    Beam { bits: f64 },
+    #[error("an exponent of {exponent} is out of range: 0 to 4")]
+    Exponent { exponent: f64 },
+}
 
-/// A model made ready.
-pub enum Engine {
-    /// Tables that have been checked.
-    Fixed(Vec<u8>),
-    Float(Box<Model>),
-    /// A model trained on the error of its mouth.
-    Mge(Box<MgeModel>),
+/// A float model of whichever kind.
+pub enum FloatModel {
+    /// Trained by likelihood.
+    Likelihood(Box<Model>),
+    /// Trained on the error of its mouth.
+    Recurrent(Box<MgeModel>),
+}
+
+impl FloatModel {
+    /// Reads a model file, once; its note `kind` says what it holds.
+    pub fn read(path: &Path) -> Result<Self> {
+        let tensors = Tensors::read(path)?;
+        Self::of_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
+    }
+
+    /// The model in a file that has been read.
+    pub fn of_tensors(tensors: &Tensors) -> Result<Self> {
+        Ok(match MgeModel::is_kind(tensors) {
+            true => Self::Recurrent(Box::new(MgeModel::from_tensors(tensors)?)),
+            false => Self::Likelihood(Box::new(Model::of_tensors(tensors)?)),
+        })
+    }
+
+    /// Its tables for the device; of a likelihood-trained model with its visual densities if asked for.
+    pub fn export(&self, visual_densities: bool) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::Recurrent(model) => export_mge(model, &MgeSettings::default())?.bytes,
+            Self::Likelihood(model) => {
+                let with = ExportSettings {
+                    visual_densities,
+                    ..ExportSettings::of(model)
+                };
+                export(model, &with)?.bytes
+            }
+        })
+    }
+}
+
+self_cell::self_cell!(
+    /// Tables that have been checked, and the view of them.
+    struct Checked {
+        owner: Cow<'static, [u8]>,
+        #[covariant]
+        dependent: Tables,
+    }
+);
+
+/// A model made ready to run.
+pub struct Engine(Ready);
+
+enum Ready {
+    Fixed(Checked),
+    Float(FloatModel),
+}
+
+impl From<FloatModel> for Engine {
+    fn from(model: FloatModel) -> Self {
+        Self(Ready::Float(model))
+    }
 }
 
 /// What a sound became: one row a frame, 100 a second.
@@ -78,97 +155,153 @@ impl Engine {
     /// [`Engine::open`]; whether a float model is quantised with its visual densities, which [`RunSettings::feedback`] needs.
     pub fn open_with(path: &Path, kind: Kind, visual_densities: bool) -> Result<Self> {
         let bytes = files::read_bytes(path)?;
-        let is_tables = bytes.starts_with(&MAGIC);
-        match kind {
-            Kind::Fixed if is_tables => {
-                Self::fixed(bytes).with_context(|| format!("{} cannot be used", path.display()))
-            }
-            Kind::Fixed if MgeModel::is_kind(&Tensors::read(path)?) => {
-                let model = MgeModel::read(path)?;
-                Ok(Self::Fixed(export_mge(&model, &MgeSettings::default())?.bytes))
-            }
-            Kind::Fixed => {
-                let model = Model::read(path)?;
-                let with = ExportSettings {
-                    visual_densities,
-                    ..ExportSettings::of(&model)
-                };
-                Ok(Self::Fixed(export(&model, &with)?.bytes))
-            }
-            Kind::Float if is_tables => bail!(
+        if bytes.starts_with(&MAGIC) {
+            ensure!(
+                kind == Kind::Fixed,
                 "{} holds the device's tables; `--engine float` needs the model they were exported from",
                 path.display()
-            ),
-            Kind::Float if MgeModel::is_kind(&Tensors::read(path)?) => {
-                Ok(Self::Mge(Box::new(MgeModel::read(path)?)))
-            }
-            Kind::Float => Ok(Self::Float(Box::new(Model::read(path)?))),
+            );
+            return Self::fixed(bytes).with_context(|| format!("{} cannot be used", path.display()));
+        }
+        let model = FloatModel::read(path)?;
+        match kind {
+            Kind::Fixed => Ok(Self::fixed(model.export(visual_densities)?)?),
+            Kind::Float => Ok(model.into()),
         }
     }
 
     /// The fixed engine on tables in memory.
-    pub fn fixed(tables: Vec<u8>) -> Result<Self> {
-        Tables::new_checked(&tables)?;
-        Ok(Self::Fixed(tables))
+    pub fn fixed(tables: impl Into<Cow<'static, [u8]>>) -> Result<Self, ModelError> {
+        let checked = Checked::try_new(tables.into(), |bytes| Tables::new_checked(bytes))?;
+        Ok(Self(Ready::Fixed(checked)))
     }
 
-    /// Converts 16 kHz mono samples.
-    pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
-        match self {
-            Self::Fixed(tables) => {
-                let tables = Tables::new_checked(tables)?;
-                ensure!(
-                    with.feedback.is_none() || tables.understands(Setting::Feedback),
-                    "the tables have no visual densities to re-estimate the mouth with: give the model that they were exported \
-                     from, or export it with --visual-densities"
-                );
-                ensure!(
-                    with.settle.is_none() || tables.understands(Setting::Settle),
-                    NO_SETTLING
-                );
-                stream(&tables, samples, core_settings(with)?)
-            }
-            Self::Float(model) => {
-                ensure!(
-                    with.beam_bits.is_none(),
-                    "the float engine has no beam: leave --beam out"
-                );
-                ensure!(
-                    with.profile.is_none(),
-                    "in floats a model with a lag has no profiles: give --lag instead of --profile"
-                );
-                ensure!(with.settle.is_none(), NO_SETTLING);
-                let start_mean = std::array::from_fn(|i| model.start_mean[i]);
-                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
-                let lag = with.lag.map_or(model.following.lag, usize::from);
-                if let Some(exponent) = with.feedback {
-                    return live_em(model, &observations, lag, exponent);
+    /// The fixed engine on the shipped model.
+    pub fn shipped() -> Self {
+        Self::fixed(crate::shipped::TABLES).expect("the shipped tables are a model")
+    }
+
+    /// A session of its own for one stream of speech.
+    ///
+    /// # Errors
+    ///
+    /// [`SettingError`] names the setting that this engine or model does not have.
+    pub fn session(&self, with: &RunSettings) -> Result<Session<'_>, SettingError> {
+        let running = match &self.0 {
+            Ready::Fixed(tables) => {
+                let tables = tables.borrow_dependent();
+                refuse(
+                    with.feedback.is_some() && !tables.understands(Setting::Feedback),
+                    SettingError::Feedback,
+                )?;
+                refuse(
+                    with.settle.is_some() && !tables.understands(Setting::Settle),
+                    SettingError::Settle,
+                )?;
+                Running::Fixed {
+                    stream: Box::new(AnyStream::new(tables, core_settings(with)?)),
+                    scales: tables.head().parameter_scales().collect(),
                 }
-                let (parameters, visemes) = convert(model, &observations, Lag::Frames(lag))?;
-                Ok(Converted { parameters, visemes })
             }
-            Self::Mge(model) => {
-                ensure!(
-                    with.beam_bits.is_none() && with.lag.is_none() && with.feedback.is_none(),
-                    "a model trained on the error of its mouth has neither beam, lag nor EM in floats: leave --beam, --lag and \
-                     --feedback out"
-                );
-                let start_mean = std::array::from_fn(|i| model.twin.start_mean[i]);
-                let observations = reference::observations(samples, Normalisation::Causal { start_mean });
+            Ready::Float(FloatModel::Likelihood(model)) => follow(model, with)?,
+            Ready::Float(FloatModel::Recurrent(model)) => {
+                let other = with.beam_bits.is_some() || with.lag.is_some() || with.feedback.is_some();
+                refuse(other, SettingError::FloatRecurrent)?;
                 let own = model.parameters.shape.context.look_ahead();
                 let ahead = with.profile.and_then(|p| StreamSettings::of(p).look_ahead);
-                let mut said =
-                    live::convert_within(model, observations.view(), ahead.map_or(own, usize::from));
-                if with.settle.unwrap_or(true) {
-                    settle(&mut said.parameters, &model.deviation);
+                Running::Recurrent {
+                    observer: observer(&model.twin),
+                    live: Box::new(Live::new(model, ahead.map_or(own, usize::from))),
+                    settle: with.settle.unwrap_or(true).then_some(&model.deviation[..]),
+                    before: Vec::new(),
                 }
-                Ok(Converted {
-                    parameters: said.parameters,
-                    visemes: said.visemes,
-                })
             }
+        };
+        Ok(Session::new(running))
+    }
+
+    /// Converts a whole sound, 16 kHz mono.
+    pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
+        let mut session = self.session(with)?;
+        let (mut parameters, mut visemes) = (Rows::default(), Rows::default());
+        let mut take = |frame: Frame| {
+            parameters.push(frame.parameters);
+            visemes.push(frame.visemes);
+        };
+        session.push(samples, &mut take)?;
+        session.finish(&mut take)?;
+        Ok(Converted {
+            parameters: parameters.array(self.n_parameters()),
+            visemes: visemes.array(VISEMES.len()),
+        })
+    }
+
+    /// Parameters of a frame.
+    pub fn n_parameters(&self) -> usize {
+        match &self.0 {
+            Ready::Fixed(tables) => tables.borrow_dependent().head().parameter_scales().len(),
+            Ready::Float(FloatModel::Likelihood(model)) => model.visual_size(),
+            Ready::Float(FloatModel::Recurrent(model)) => model.parameters.shape.outputs,
         }
     }
+}
+
+/// Rows of an array that grows.
+#[derive(Default)]
+struct Rows {
+    values: Vec<f32>,
+    rows: usize,
+}
+
+impl Rows {
+    fn push(&mut self, row: &[f32]) {
+        self.values.extend(row);
+        self.rows += 1;
+    }
+
+    /// The array; `columns` is its width where there is no row.
+    fn array(self, columns: usize) -> Array2<f32> {
+        let columns = self.values.len().checked_div(self.rows).unwrap_or(columns);
+        Array2::from_shape_vec((self.rows, columns), self.values).expect("rows of one width")
+    }
+}
+
+fn refuse(so: bool, error: SettingError) -> Result<(), SettingError> {
+    if so { Err(error) } else { Ok(()) }
+}
+
+fn observer(model: &Model) -> Observer {
+    let start_mean = std::array::from_fn(|i| model.start_mean[i]);
+    Observer::new(Normalisation::Causal { start_mean })
+}
+
+/// A likelihood-trained model in floats.
+fn follow<'m>(model: &'m Model, with: &RunSettings) -> Result<Running<'m>, SettingError> {
+    refuse(with.beam_bits.is_some(), SettingError::FloatBeam)?;
+    refuse(with.profile.is_some(), SettingError::FloatProfile)?;
+    refuse(with.settle.is_some(), SettingError::Settle)?;
+    let observer = observer(model);
+    let lag = with.lag.map_or(model.following.lag, usize::from);
+    let convert: Whole<'m> = match (with.feedback, model.system.speech) {
+        (None, Speech::LocalLinear) => {
+            return Ok(Running::LocalLinear {
+                observer,
+                live: Box::new(LocalLinear::new(model, lag)),
+            });
+        }
+        (None, _) => Box::new(move |heard| {
+            let (parameters, visemes) = convert(model, heard, Lag::Frames(lag)).map_err(|_| NotFinite)?;
+            Ok(Converted { parameters, visemes })
+        }),
+        (Some(exponent), _) => {
+            Box::new(move |heard| live_em(model, heard, lag, exponent).map_err(|_| NotFinite))
+        }
+    };
+    Ok(Running::Whole {
+        observer,
+        heard: Vec::new(),
+        convert,
+    })
 }
 
 /// The paper's EM inside a window of `lag` frames, in floats.
@@ -187,36 +320,35 @@ fn live_em(model: &Model, observations: &Array2<f32>, lag: usize, exponent: f64)
     })
 }
 
-/// Settings for the core, refused in words where it would hold them to its limits.
-pub fn core_settings(with: &RunSettings) -> Result<StreamSettings> {
+/// Settings for the core, refused where it would hold them to its limits.
+pub fn core_settings(with: &RunSettings) -> Result<StreamSettings, SettingError> {
     if let Some(lag) = with.lag {
-        ensure!(
-            usize::from(lag) < FRAMES,
-            "a lag of {lag} hops is too long: the device has room for {}",
-            FRAMES - 1
-        );
+        let most = FRAMES - 1;
+        refuse(usize::from(lag) > most, SettingError::Lag { lag, most })?;
     }
-    let beam = with.beam_bits.map(|bits| {
-        let q12 = bits * f64::from(1 << FRACTION_BITS);
-        ensure!(
-            q12 >= 1.0 && q12 <= f64::from(MAX_BEAM),
-            "a beam of {bits} bits is out of range"
-        );
-        Ok(LogProb::from_q12(q12 as i32))
-    });
-    let feedback = with.feedback.map(|exponent| {
-        let q16 = exponent * 65536.0;
-        ensure!(
-            (0.0..=f64::from(MAX_ACOUSTIC_SCALE)).contains(&q16),
-            "an exponent of {exponent} is out of range: 0 to 4"
-        );
-        Ok(q16.round() as u32)
-    });
+    let beam = match with.beam_bits {
+        None => None,
+        Some(bits) => {
+            let q12 = bits * f64::from(1 << FRACTION_BITS);
+            let fits = q12 >= 1.0 && q12 <= f64::from(MAX_BEAM);
+            refuse(!fits, SettingError::Beam { bits })?;
+            Some(LogProb::from_q12(q12 as i32))
+        }
+    };
+    let feedback = match with.feedback {
+        None => None,
+        Some(exponent) => {
+            let q16 = exponent * 65536.0;
+            let fits = (0.0..=f64::from(MAX_ACOUSTIC_SCALE)).contains(&q16);
+            refuse(!fits, SettingError::Exponent { exponent })?;
+            Some(q16.round() as u32)
+        }
+    };
     let own = with.profile.map_or(StreamSettings::default(), StreamSettings::of);
     Ok(StreamSettings {
-        feedback: feedback.transpose()?,
+        feedback,
         lag: with.lag.or(own.lag),
-        beam: beam.transpose()?,
+        beam,
         settle: with.settle,
         ..own
     })

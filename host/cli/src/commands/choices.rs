@@ -100,3 +100,15 @@ choice! {
         Both,
     }
 }
+
+choice! {
+    /// A format of numbers.
+    Numbers for lipstream::out::Format {
+        /// An array of parameters
+        Npy,
+        /// Rows of time, parameters and viseme weights
+        Csv,
+        /// One object with both
+        Json,
+    }
+}

@@ -1,26 +1,30 @@
 //! `lipstream convert`: sound in, mouth parameters out.
 use std::path::PathBuf;
 
-use anyhow::{Result, bail};
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
+use anyhow::{Result, anyhow, bail};
+use lipstream::engine::{Engine, RunSettings, SettingError};
+use lipstream::out::Format;
+use lipstream::session::Frame;
+use lipstream::time::frame_count;
+use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
 
 use super::choices;
-use lipstream::engine::{Converted, Engine, RunSettings};
-use lipstream::npy;
-use lipstream::phones::VISEMES;
-use lipstream_media::{files, sound};
+use super::streams::{ending, is_standard, name, read_sound, say, write};
 
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis
+    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis; - is standard input
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]
     model: PathBuf,
-    /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights)
+    /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights); - is standard output
     #[arg(short, long)]
     output: PathBuf,
+    /// Format [default: by the output's ending, csv on standard output]
+    #[arg(long, value_enum)]
+    format: Option<choices::Numbers>,
     /// Arithmetic
     #[arg(long, value_enum, default_value_t = choices::Engine::Fixed)]
     engine: choices::Engine,
@@ -43,14 +47,16 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let write = match args.output.extension().and_then(|e| e.to_str()) {
-        Some("npy") => npy,
-        Some("csv") => csv,
-        Some("json") => json,
-        _ => bail!("{}: write .npy, .csv or .json", args.output.display()),
+    let format = match &args.format {
+        Some(format) => (*format).into(),
+        None if is_standard(&args.output) => Format::Csv,
+        None => match Format::of_ending(&ending(&args.output)) {
+            Some(format) => format,
+            None => bail!("{}: write .npy, .csv or .json", args.output.display()),
+        },
     };
     let engine = Engine::open_with(&args.model, args.engine.into(), args.feedback.is_some())?;
-    let sound = sound::read(&args.wav)?;
+    let sound = read_sound(&args.wav)?;
     let with = RunSettings {
         lag: args.lag,
         beam_bits: args.beam,
@@ -58,70 +64,55 @@ pub(crate) fn run(args: Args) -> Result<()> {
         profile: args.profile.map(Into::into),
         settle: args.no_settling.then_some(false),
     };
-    let converted = engine.convert(&sound.samples, &with)?;
-    if converted.parameters.nrows() == 0 {
+    let mut session = engine.session(&with).map_err(advise)?;
+    let frames = frame_count(sound.samples.len());
+    if frames == 0 {
         bail!(
             "{} is shorter than one window of {} ms",
-            args.wav.display(),
+            name(&args.wav),
             1000 * FRAME_SAMPLES / SAMPLE_RATE_HZ as usize
         );
     }
-    write(&args, &converted)?;
-    println!(
-        "{}: {} frames of {} parameters, {:.2} s",
-        args.output.display(),
-        converted.parameters.nrows(),
-        converted.parameters.ncols(),
-        sound.seconds()
+    write(&args.output, |file| {
+        let mut numbers = format.write(file, engine.n_parameters())?;
+        let mut written = Ok(());
+        let mut take = |frame: Frame| {
+            if written.is_ok() {
+                written = numbers.frame(&frame);
+            }
+        };
+        for piece in sound.samples.chunks(PIECE) {
+            session.push(piece, &mut take)?;
+        }
+        session.finish(&mut take)?;
+        written?;
+        Ok(numbers.finish()?)
+    })?;
+    say(
+        &args.output,
+        &format!(
+            "{frames} frames of {} parameters, {:.2} s",
+            engine.n_parameters(),
+            sound.seconds()
+        ),
     );
     Ok(())
 }
 
-/// Centre of frame t's window in seconds.
-fn time(t: usize) -> f64 {
-    (t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f64 / f64::from(SAMPLE_RATE_HZ)
-}
+/// Samples that are pushed at a time.
+const PIECE: usize = 16_000;
 
-fn npy(args: &Args, converted: &Converted) -> Result<()> {
-    npy::write_npy(&args.output, &converted.parameters)
-}
-
-fn csv(args: &Args, converted: &Converted) -> Result<()> {
-    files::write_whole(&args.output, |file| {
-        write!(file, "time_s")?;
-        for d in 1..=converted.parameters.ncols() {
-            write!(file, ",p{d}")?;
+/// What to do about a setting that cannot be had, in words of the command line.
+pub(super) fn advise(error: SettingError) -> anyhow::Error {
+    let advice = match error {
+        SettingError::Settle => ": leave --no-settling out",
+        SettingError::Feedback => {
+            ": give the model that they were exported from, or export it with --visual-densities"
         }
-        for viseme in VISEMES {
-            write!(file, ",{viseme}")?;
-        }
-        writeln!(file)?;
-        for (t, (values, weights)) in
-            std::iter::zip(converted.parameters.rows(), converted.visemes.rows()).enumerate()
-        {
-            write!(file, "{:.4}", time(t))?;
-            for value in values.iter().chain(weights) {
-                write!(file, ",{value}")?;
-            }
-            writeln!(file)?;
-        }
-        Ok(())
-    })
-}
-
-fn json(args: &Args, converted: &Converted) -> Result<()> {
-    let rows = |array: &ndarray::Array2<f32>| -> Vec<Vec<f32>> {
-        array.rows().into_iter().map(|r| r.to_vec()).collect()
+        SettingError::FloatBeam => ": leave --beam out",
+        SettingError::FloatProfile => ": give --lag instead of --profile",
+        SettingError::FloatRecurrent => ": leave --beam, --lag and --feedback out",
+        _ => "",
     };
-    let value = serde_json::json!({
-        "rate_hz": SAMPLE_RATE_HZ as usize / HOP_SAMPLES,
-        "first_frame_s": time(0),
-        "parameters": rows(&converted.parameters),
-        "viseme_names": VISEMES,
-        "viseme_weights": rows(&converted.visemes),
-    });
-    files::write_whole(&args.output, |file| {
-        serde_json::to_writer(&mut *file, &value)?;
-        Ok(writeln!(file)?)
-    })
+    anyhow!("{error}{advice}")
 }

@@ -14,6 +14,7 @@ mod export;
 mod features;
 mod prepare;
 mod render;
+mod streams;
 mod train;
 mod train_mge;
 mod train_shards;

@@ -5,8 +5,9 @@ use std::fmt::Write as _;
 use anyhow::Result;
 use ndarray::ArrayView2;
 
-use super::{centre, check};
+use super::check;
 use crate::phones::VISEMES;
+use crate::time::frame_seconds;
 
 /// The Oculus lip-sync visemes, in their order.
 pub const OCULUS: [&str; 15] = [
@@ -181,7 +182,7 @@ fn table<const N: usize>(
                 *sum += w * share;
             }
         }
-        let _ = write!(out, "{:.4}", centre(t));
+        let _ = write!(out, "{:.4}", frame_seconds(t));
         for sum in sums {
             let _ = write!(out, ",{:.3}", sum.clamp(0.0, 1.0));
         }

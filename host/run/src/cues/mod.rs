@@ -13,10 +13,10 @@
 //! | H | tongue raised | as (l r y) |
 //! | X | rest | sip |
 use anyhow::{Result, bail};
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{ArrayView1, ArrayView2};
 
 use crate::phones::VISEMES;
+use crate::time::border_seconds;
 
 mod blend;
 mod formats;
@@ -109,13 +109,13 @@ pub fn cues(weights: ArrayView2<f32>, duration_s: f64) -> Result<Vec<Cue>> {
         match cues.last_mut() {
             Some(last) if last.shape == shape => {}
             last => {
-                let start_s = if t == 0 { 0.0 } else { border(t) };
+                let start_s = if t == 0 { 0.0 } else { border_seconds(t) };
                 if let Some(last) = last {
                     last.end_s = start_s;
                 }
                 cues.push(Cue {
                     start_s,
-                    end_s: border(frames),
+                    end_s: border_seconds(frames),
                     shape,
                 });
             }
@@ -127,17 +127,6 @@ pub fn cues(weights: ArrayView2<f32>, duration_s: f64) -> Result<Vec<Cue>> {
         last.end_s = duration_s;
     }
     Ok(cues)
-}
-
-/// Seconds half-way between the centres of frames t − 1 and t.
-fn border(t: usize) -> f64 {
-    let sample = (t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f64 - HOP_SAMPLES as f64 / 2.0;
-    sample / f64::from(SAMPLE_RATE_HZ)
-}
-
-/// Seconds of the centre of frame t.
-fn centre(t: usize) -> f64 {
-    (t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f64 / f64::from(SAMPLE_RATE_HZ)
 }
 
 fn check(weights: ArrayView2<f32>) -> Result<()> {

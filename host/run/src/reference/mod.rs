@@ -13,19 +13,13 @@ pub mod hmm;
 pub mod log;
 pub mod mel;
 pub mod normalise;
+pub mod observer;
 pub mod preemphasis;
 pub mod window;
 
+pub use crate::time::frame_count;
 pub use delta::deltas;
 pub use normalise::{Normalisation, SpeechMean, speech_mean};
-
-/// Frames that HCopy makes of `samples` samples: whole windows only.
-pub fn frame_count(samples: usize) -> usize {
-    match samples.checked_sub(FRAME_SAMPLES) {
-        Some(rest) => rest / HOP_SAMPLES + 1,
-        None => 0,
-    }
-}
 
 /// Everything that does not depend on the sound, made once.
 pub struct Analyser {

@@ -85,20 +85,40 @@ impl Gate {
     }
 }
 
-/// Raw statics less the mean in force at each frame, `[frames, 13]`. Frame t's mean knows frames ≤ t only.
-pub fn causal(raw: ArrayView2<f64>, start_mean: &[f32; N_STATIC]) -> Array2<f64> {
-    let mut gate = Gate::default();
-    let mut mean = start_mean.map(f64::from);
-    let mut out = raw.to_owned();
-    for mut row in out.axis_iter_mut(Axis(0)) {
-        if gate.next(row[N_STATIC - 1]) {
-            for (m, s) in mean.iter_mut().zip(&row) {
+/// The causal mean of one stream, frame by frame.
+#[derive(Clone, Debug)]
+pub struct Causal {
+    gate: Gate,
+    mean: [f64; N_STATIC],
+}
+
+impl Causal {
+    /// Starts from this mean.
+    pub fn new(start_mean: &[f32; N_STATIC]) -> Self {
+        Self {
+            gate: Gate::default(),
+            mean: start_mean.map(f64::from),
+        }
+    }
+
+    /// The next frame's raw statics less the mean in force, which knows this frame and those before it only.
+    pub fn next(&mut self, raw: &[f64; N_STATIC]) -> [f64; N_STATIC] {
+        if self.gate.next(raw[N_STATIC - 1]) {
+            for (m, s) in self.mean.iter_mut().zip(raw) {
                 *m += (s - *m) / MEAN_FRAMES;
             }
         }
-        for (s, m) in row.iter_mut().zip(&mean) {
-            *s -= m;
-        }
+        std::array::from_fn(|i| raw[i] - self.mean[i])
+    }
+}
+
+/// Raw statics less the mean in force at each frame, `[frames, 13]`. Frame t's mean knows frames ≤ t only.
+pub fn causal(raw: ArrayView2<f64>, start_mean: &[f32; N_STATIC]) -> Array2<f64> {
+    let mut causal = Causal::new(start_mean);
+    let mut out = raw.to_owned();
+    for mut row in out.axis_iter_mut(Axis(0)) {
+        let frame = std::array::from_fn(|i| row[i]);
+        row.assign(&ndarray::aview1(&causal.next(&frame)));
     }
     out
 }

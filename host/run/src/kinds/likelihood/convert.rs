@@ -7,7 +7,7 @@ use ndarray::{Array2, Axis, s};
 use super::inversion::Inverter;
 use crate::hmm::Hmm;
 use crate::hmm::evaluator::Evaluator;
-use crate::hmm::forward_backward::forward;
+use crate::hmm::forward_backward::{forward, forward_from};
 use crate::hmm::graph::Graph;
 use crate::hmm::joint::N_EMITTING;
 use crate::hmm::system::Speech;
@@ -83,6 +83,30 @@ impl Follower {
             }
         }
         Ok((audio, visual))
+    }
+
+    /// Forward variables `[frames, joint states]` and occupancies of the visual states of a piece of a stream, on from the forward
+    /// variables of the frame before it. The last `lag` frames' occupancies know less than they should. None where the observations
+    /// are not finite.
+    pub fn piece(
+        &self,
+        before: Option<&[f64]>,
+        observations: &Array2<f32>,
+        lag: usize,
+    ) -> Option<(Array2<f64>, Array2<f32>)> {
+        let frames = observations.nrows();
+        let log = self.log_likelihoods(observations);
+        let emission =
+            |t: usize, s: usize| self.acoustic_scale * f64::from(log[[t, self.graph.states[s].audio]]);
+        let forward = forward_from(&self.graph, &self.probability, before, frames, &emission)?;
+        let gamma = forward.fixed_lag(&self.graph, &self.probability, lag);
+        let mut visual = Array2::zeros((frames, self.n_visual_states));
+        for (t, row) in gamma.outer_iter().enumerate() {
+            for (state, &occupancy) in self.graph.states.iter().zip(row) {
+                visual[[t, state.visual]] += occupancy as f32;
+            }
+        }
+        Some((forward.alpha, visual))
     }
 }
 

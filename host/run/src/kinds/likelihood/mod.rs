@@ -7,6 +7,7 @@ use ndarray::{Array1, Array2, Array3};
 
 pub mod convert;
 pub mod inversion;
+pub mod live;
 pub mod local_linear;
 
 use crate::hmm::joint::N_EMITTING;
@@ -169,6 +170,7 @@ impl Model {
         }
     }
 
+    /// Reads a model file of this kind.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
         let kind: String = tensors
@@ -181,6 +183,15 @@ impl Model {
             );
         }
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
+    }
+
+    /// The model in a file that has been read; refuses another kind.
+    pub fn of_tensors(from: &Tensors) -> Result<Self> {
+        let kind: String = from.noted("kind")?;
+        if kind != KIND {
+            bail!("it holds a model of the kind {kind:?}; this needs {KIND:?}");
+        }
+        Self::from_tensors(from)
     }
 
     pub(crate) fn from_tensors(from: &Tensors) -> Result<Self> {

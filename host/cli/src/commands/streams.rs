@@ -1,0 +1,75 @@
+//! Standard input and output, which `-` stands for, and files: one place for both.
+use std::io::{self, Read as _, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result};
+use lipstream_media::files;
+use lipstream_media::sound::{self, Sound};
+
+/// Whether a name stands for standard input or output.
+pub(crate) fn is_standard(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// What messages call a file.
+pub(crate) fn name(path: &Path) -> String {
+    match is_standard(path) {
+        true => "standard input".to_owned(),
+        false => path.display().to_string(),
+    }
+}
+
+/// Reads a sound file, or standard input.
+pub(crate) fn read_sound(path: &Path) -> Result<Sound> {
+    if !is_standard(path) {
+        return Ok(sound::read(path)?);
+    }
+    let mut bytes = Vec::new();
+    io::stdin()
+        .lock()
+        .read_to_end(&mut bytes)
+        .context("cannot read standard input")?;
+    sound::decode(&bytes).context("cannot read standard input as sound")
+}
+
+/// Writes a file, whole or not at all, or standard output as it comes.
+pub(crate) fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+    if !is_standard(path) {
+        return Ok(files::write_whole(path, write)?);
+    }
+    let mut out = io::BufWriter::new(io::stdout().lock());
+    write(&mut out).and_then(|()| Ok(out.flush()?)).or_else(|error| {
+        // Whoever was reading has had enough.
+        let closed = error
+            .downcast_ref::<io::Error>()
+            .is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe);
+        match closed {
+            true => std::process::exit(128 + 13),
+            false => Err(error).context("cannot write to standard output"),
+        }
+    })
+}
+
+/// Says what was written; on standard error where the numbers went to standard output.
+pub(crate) fn say(output: &Path, what: &str) {
+    match is_standard(output) {
+        true => eprintln!("{what}"),
+        false => println!("{}: {what}", output.display()),
+    }
+}
+
+/// Ending of a file's name in lower case, without the dot.
+pub(crate) fn ending(path: &Path) -> String {
+    path.extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase()
+}
+
+/// A file's name without its folder.
+pub(crate) fn file_name(path: &Path) -> String {
+    path.file_name()
+        .map_or_else(|| PathBuf::from(path), PathBuf::from)
+        .to_string_lossy()
+        .into_owned()
+}
