@@ -49,9 +49,11 @@ impl<'a> Head<'a> {
         let items = groups.as_chunks::<GROUP_SIZE>().0;
         check(
             GROUPS,
-            items
-                .iter()
-                .map(|item| has_group_name(item) && u16_at(item, GROUP_NAME_SIZE) > 0),
+            items.iter().enumerate().map(|(i, item)| {
+                let name = &item[..GROUP_NAME_SIZE];
+                let is_new = items[..i].iter().all(|before| &before[..GROUP_NAME_SIZE] != name);
+                has_group_name(item) && is_new && u16_at(item, GROUP_NAME_SIZE) > 0
+            }),
         )?;
         let sizes = items
             .iter()
