@@ -7,45 +7,48 @@ use std::path::Path;
 use common::hcopy::{self, Pair};
 use lipstream::reference;
 
-fn golden() -> Option<Vec<Pair>> {
-    let Some(shared) = std::env::var_os("LIPSTREAM_RESEARCH") else {
-        println!("skipped: LIPSTREAM_RESEARCH is not set");
-        return None;
-    };
-    Some(hcopy::pairs(&Path::new(&shared).join("golden/htk"), 3))
+fn golden() -> Vec<Pair> {
+    let shared =
+        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
+    hcopy::pairs(&Path::new(&shared).join("golden/htk"), 3)
 }
 
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn every_coefficient_equals_hcopy() {
-    let Some(pairs) = golden() else { return };
+    let pairs = golden();
     hcopy::every_coefficient_equals_hcopy(&pairs);
 }
 
 /// The same through the program, in both formats: header words and numbers of HCopy's own files.
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn the_program_writes_what_hcopy_writes() {
-    let Some(pairs) = golden() else { return };
+    let pairs = golden();
     hcopy::the_program_writes_what_hcopy_writes(&pairs, env!("CARGO_BIN_EXE_lipstream"));
 }
 
 /// The integers on c1..c12 against HCopy itself.
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn integers_are_close_to_hcopy() {
-    let Some(pairs) = golden() else { return };
+    let pairs = golden();
     hcopy::integers_are_close_to_hcopy(&pairs, 40.0);
 }
 
 /// … and against the `f64` front end at three levels.
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn integers_are_accurate_at_every_level() {
-    let Some(pairs) = golden() else { return };
+    let pairs = golden();
     hcopy::integers_are_accurate_at_every_level(&pairs);
 }
 
 /// Which share of recorded sentences the gate calls speech: the time constant of 256 such frames is four to seven seconds of talk.
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn the_gate_passes_half_of_recorded_talk() {
-    let Some(pairs) = golden() else { return };
+    let pairs = golden();
     for pair in pairs {
         let raw = reference::statics(&pair.samples);
         let mut gate = reference::normalise::Gate::default();

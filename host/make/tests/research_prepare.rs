@@ -4,13 +4,11 @@ use std::path::{Path, PathBuf};
 use lipstream_make::corpus::{self, Settings};
 use lipstream_make::features::{self, FeatureFolder, Split};
 
-/// The shared folder, or nothing, said aloud.
-fn shared() -> Option<PathBuf> {
-    let folder = std::env::var_os("LIPSTREAM_RESEARCH").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: LIPSTREAM_RESEARCH is not set");
-    }
-    folder
+/// The folder of the research data.
+fn shared() -> PathBuf {
+    std::env::var_os("LIPSTREAM_RESEARCH")
+        .expect("LIPSTREAM_RESEARCH names the folder that holds data/")
+        .into()
 }
 
 fn copy(from: &Path, to: &Path, names: impl Iterator<Item = String>) {
@@ -35,8 +33,9 @@ fn common(a: &[&str], b: &[&str]) -> usize {
 }
 
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn timit_sentences() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let folder = tempfile::tempdir().unwrap();
     let corpus_path = folder.path().join("timit");
     for speaker in ["dr1-fvmh0", "dr3-madc0"] {
@@ -100,8 +99,9 @@ fn timit_sentences() {
 }
 
 #[test]
+#[ignore = "needs the research data: tests/run --research"]
 fn grid_videos() {
-    let Some(shared) = shared() else { return };
+    let shared = shared();
     let folder = tempfile::tempdir().unwrap();
     let grid = shared.join("data/grid-s1");
     let corpus_path = folder.path().join("grid");

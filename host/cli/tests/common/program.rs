@@ -1,45 +1,11 @@
 //! The `lipstream` program as a user runs it.
 use std::ffi::OsStr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output};
-use std::sync::OnceLock;
 
-/// The program, built in the profile of this test.
+/// The program, built with this test.
 pub(crate) fn program() -> &'static Path {
-    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| {
-        // target/PROFILE/deps/this-test
-        let test = std::env::current_exe().expect("this program's path");
-        let folder = test.ancestors().nth(2).expect("tests are two folders down");
-        let profile = match folder.file_name().and_then(OsStr::to_str) {
-            Some("debug") => "dev",
-            Some(profile) => profile,
-            None => panic!("no profile in {}", test.display()),
-        };
-        let target = folder.parent().expect("the target folder");
-        let output = Command::new(env!("CARGO"))
-            .current_dir(super::root())
-            .args([
-                "build",
-                "--locked",
-                "--package",
-                "lipstream",
-                "--bin",
-                "lipstream",
-                "--profile",
-                profile,
-            ])
-            .arg("--target-dir")
-            .arg(target)
-            .output()
-            .expect("run cargo");
-        assert!(
-            output.status.success(),
-            "{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
-        folder.join(format!("lipstream{}", std::env::consts::EXE_SUFFIX))
-    })
+    Path::new(env!("CARGO_BIN_EXE_lipstream"))
 }
 
 /// Runs the program in `folder` with an empty PATH: nothing but itself to rely on.

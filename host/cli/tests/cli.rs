@@ -339,3 +339,41 @@ fn demo_stands_alone() {
         );
     }
 }
+
+/// What the program gives on standard output for a file on standard input.
+fn through(folder: &Path, input: &str, arguments: &[&str]) -> Vec<u8> {
+    let output = Command::new(program())
+        .current_dir(folder)
+        .env("PATH", "")
+        .args(arguments)
+        .stdin(std::fs::File::open(input).unwrap())
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    output.stdout
+}
+
+#[test]
+fn a_dash_is_standard_input_and_output() {
+    let folder = common::folder("cli-dash");
+    let (hello, model) = (hello(), path(&common::root().join("models/grid-s1.tables")));
+    for format in ["csv", "json", "npy"] {
+        let file = format!("out.{format}");
+        succeed(&folder, &["convert", &hello, "-m", &model, "-o", &file]);
+        let piped = through(
+            &folder,
+            &hello,
+            &["convert", "-", "-m", &model, "-o", "-", "--format", format],
+        );
+        assert!(piped == std::fs::read(folder.join(&file)).unwrap(), "{format}");
+    }
+    succeed(&folder, &["cues", &hello, "-m", &model, "-o", "out.tsv"]);
+    let piped = through(&folder, &hello, &["cues", "-", "-m", &model, "-o", "-"]);
+    assert!(piped == std::fs::read(folder.join("out.tsv")).unwrap());
+    let error = refuse(&folder, &["convert", &hello, "-m", &model, "-o", "out.txt"]);
+    assert_eq!(error, "out.txt: write .npy, .csv or .json");
+}
