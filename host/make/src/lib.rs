@@ -1,4 +1,24 @@
-//! What makes models of lipstream: corpora, vision, training, alignment, evaluation.
+//! What makes lipstream's models: corpora, vision, training, alignment, evaluation.
+//!
+//! ```no_run
+//! use lipstream_make::corpus::{self, Settings};
+//! use lipstream_make::features::FeatureFolder;
+//! use lipstream_make::train;
+//!
+//! // Clips of one speaker with labels or transcripts → a folder of features → a model.
+//! let prepare = Settings {
+//!     corpus: "clips".into(),
+//!     out: "features".into(),
+//!     ..Settings::default()
+//! };
+//! corpus::prepare(&prepare, &())?;
+//! let folder = FeatureFolder::open(&prepare.out)?;
+//! let model = train::train(&folder, &[], &train::Settings::default(), &|line| println!("{line}"))?;
+//! model.write("model.safetensors".as_ref())?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! What runs the models is [`lipstream`], one layer below; the program `lipstream` is one above.
 // Not `forbid`: ndarray's `s!` brings an `allow` of its own.
 #![deny(unsafe_code)]
 
