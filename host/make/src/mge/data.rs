@@ -47,8 +47,8 @@ pub struct Data {
 /// Reads folders and aligns them with the likelihood-trained model `twin`. The clips are then in a file in `aside`, or in
 /// memory.
 ///
-/// At most `settings.clips` training clips with video are taken; the last `settings.hold_out` of all training clips
-/// join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
+/// `settings.clips` training clips with video are taken, drawn by the seed; the last `settings.hold_out` of all training
+/// clips join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
 pub fn read(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
@@ -67,11 +67,7 @@ pub fn read(
     }
     let mut train = Clips::new(folder, Split::Train, &twin.phones, say).readable(true, say);
     let mut validation = Clips::new(folder, Split::Val, &twin.phones, say).readable(false, say);
-    let held = train.len().saturating_sub(settings.hold_out);
-    validation.extend(&train.split_off(held));
-    if let Some(clips) = settings.clips {
-        train.split_off(clips);
-    }
+    validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
@@ -124,6 +120,19 @@ pub fn read(
     }
     reader.read(folder, &validation, 0, &mut data.validation)?;
     Ok(data)
+}
+
+/// Leaves in `train` the clips to train on, and returns those that are held out.
+///
+/// The last clips are held out before any are drawn: who is validated on does not depend on `settings.clips`. Without a
+/// hold-out the clips that stay are those that likelihood training with the same seed has drawn, so that the alignment
+/// comes from a model that has seen them.
+fn hold_out_and_draw<'a>(train: &mut Clips<'a>, settings: &Settings) -> Clips<'a> {
+    let held = train.split_off(train.len().saturating_sub(settings.hold_out));
+    if let Some(clips) = settings.clips {
+        train.draw(clips, settings.seed);
+    }
+    held
 }
 
 /// Makes clips of utterances.
@@ -237,5 +246,75 @@ impl Deviations {
             let mean = sum / n;
             (square / n - mean * mean).max(1e-6).sqrt() as f32
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::{Clip as Listed, MANIFEST_VERSION, Manifest, PhoneLabel};
+    use lipstream::phones::Phone;
+
+    /// A folder of silent training clips that is a manifest and no files.
+    fn folder(clips: usize) -> FeatureFolder {
+        let clip = |n: usize| Listed {
+            id: format!("clip-{n:02}"),
+            speaker: String::new(),
+            split: Split::Train,
+            audio_frames: 100,
+            video_frames: 25,
+            video_hz: 25.0,
+            words: Vec::new(),
+            phones: vec![PhoneLabel {
+                phone: "sil".into(),
+                start: 0.0,
+                end: 1.0,
+            }],
+        };
+        FeatureFolder {
+            root: "nowhere".into(),
+            manifest: Manifest {
+                version: MANIFEST_VERSION,
+                corpus: String::new(),
+                start_mean: vec![0.0; N_STATIC],
+                visual_size: 1,
+                clips: (0..clips).map(clip).collect(),
+                skipped: Vec::new(),
+            },
+        }
+    }
+
+    #[test]
+    fn clips_are_drawn_by_the_seed_as_likelihood_training_draws_them() {
+        let folder = folder(30);
+        let all = || Clips::new(&folder, Split::Train, &[Phone::SIL], &|_| ());
+        let ids = |clips: &Clips| clips.ids().map(str::to_owned).collect::<Vec<_>>();
+        let choose = |clips, seed, hold_out| {
+            let mut train = all();
+            let settings = Settings {
+                clips,
+                seed,
+                hold_out,
+                ..Settings::default()
+            };
+            let held = hold_out_and_draw(&mut train, &settings);
+            (ids(&train), ids(&held))
+        };
+        for seed in [0, 1, 2] {
+            let mut by_likelihood = all();
+            by_likelihood.draw(8, seed);
+            assert_eq!(choose(Some(8), seed, 0), (ids(&by_likelihood), vec![]));
+        }
+        assert_ne!(choose(Some(8), 1, 0), choose(Some(8), 2, 0));
+        let first = ids(&all())[..8].to_vec();
+        assert_ne!(choose(Some(8), 1, 0).0, first, "they are not the first ones");
+
+        // All are taken where nobody says how many, and those held out are the last ones either way.
+        assert_eq!(choose(None, 1, 0), (ids(&all()), vec![]));
+        let last = ids(&all())[26..].to_vec();
+        assert_eq!(choose(None, 1, 4), (ids(&all())[..26].to_vec(), last.clone()));
+        let (train, held) = choose(Some(8), 1, 4);
+        assert_eq!((train.len(), &held), (8, &last));
+        assert!(train.iter().all(|id| !last.contains(id)));
     }
 }

@@ -46,7 +46,7 @@ pub struct Settings {
     pub rule: Rule,
     pub start: StartSettings,
     pub seed: u64,
-    /// At most so many training clips with video.
+    /// So many training clips with video, drawn by the seed; all where `None`.
     pub clips: Option<usize>,
     /// Training clips that join the validation clips.
     pub hold_out: usize,

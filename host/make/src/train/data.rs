@@ -245,6 +245,11 @@ impl<'a> Clips<'a> {
         self.clips.extend(&other.clips);
     }
 
+    /// The names of the clips.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.clips.iter().map(|(_, clip)| clip.id.as_str())
+    }
+
     /// The networks of the clips; reads none.
     pub fn networks(&self) -> impl Iterator<Item = PhoneNetwork> {
         let clips = self.clips.iter();
