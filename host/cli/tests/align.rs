@@ -109,13 +109,13 @@ fn borders_are_found_where_they_were_made() {
         mixtures: 2,
         ..Default::default()
     };
-    let hmm = train::train(&folder, &settings, None, &|_| ()).unwrap();
+    let hmm = train::train(&folder, &settings, None, &()).unwrap();
     let model = root.join("audio.safetensors");
     hmm.write(&model).unwrap();
     assert_eq!(AudioHmm::read(&model).unwrap(), hmm);
     // Twice the same, on one thread too.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let again = one_thread.install(|| train::train(&folder, &settings, Some(&folder.root), &|_| ()).unwrap());
+    let again = one_thread.install(|| train::train(&folder, &settings, Some(&folder.root), &()).unwrap());
     assert_eq!(again, hmm);
 
     // Sentences that were not trained on, through the program, in every format.
@@ -179,7 +179,7 @@ fn what_cannot_be_aligned_is_said() {
         iterations: 1,
         ..Default::default()
     };
-    let hmm = train::train(&folder, &settings, None, &|_| ()).unwrap();
+    let hmm = train::train(&folder, &settings, None, &()).unwrap();
     let model = root.join("audio.safetensors");
     hmm.write(&model).unwrap();
     let (words, samples, _) = sentence(&mut Pcg64::seed_from_u64(6));

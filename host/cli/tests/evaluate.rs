@@ -171,7 +171,7 @@ fn measured(folder: &FeatureFolder) -> Report {
     candidates.extend(models::ridge(folder, true).unwrap());
     candidates.push(share_of_truth(folder, "tenth", 0.1));
     candidates.push(share_of_truth(folder, "halved", 0.5));
-    evaluate::measure(folder, Split::Test, &candidates, &settings(), &|_| ()).unwrap()
+    evaluate::measure(folder, Split::Test, &candidates, &settings(), &()).unwrap()
 }
 
 fn heading() -> Heading {
@@ -350,7 +350,7 @@ fn one_file_of_each_form() {
     // Without mouth images everything but closure is measured, and the report says so.
     std::fs::remove_dir_all(root.path().join("mouths")).unwrap();
     let candidates = [models::mean(folder.manifest.visual_size)];
-    let report = evaluate::measure(&folder, Split::Val, &candidates, &settings, &|_| ()).unwrap();
+    let report = evaluate::measure(&folder, Split::Val, &candidates, &settings, &()).unwrap();
     assert!(report.closure.is_none() && report.noise.is_empty() && report.cold_starts.is_none());
     assert!(
         report.notes[0].starts_with("Closure was not measured"),
@@ -408,14 +408,14 @@ fn features_go_out_and_predictions_come_in() {
         resamples: 100,
         ..Settings::default()
     };
-    let report = evaluate::measure(&folder, Split::Test, &candidates, &settings, &|_| ()).unwrap();
+    let report = evaluate::measure(&folder, Split::Test, &candidates, &settings, &()).unwrap();
     let (mean, theirs) = (&report.systems[0].amse.value, &report.systems[1]);
     assert!((theirs.acc.value - 1.0).abs() < 1e-3);
     assert!(theirs.amse.value < 0.5 * mean);
 
     // What does not fit is refused in one line.
     let refused = |candidates: &[Candidate], settings: &Settings| {
-        let error = evaluate::measure(&folder, Split::Test, candidates, settings, &|_| ()).unwrap_err();
+        let error = evaluate::measure(&folder, Split::Test, candidates, settings, &()).unwrap_err();
         let text = format!("{error:#}");
         assert!(!text.contains('\n') && text.len() > 20, "{text}");
         text

@@ -1,6 +1,7 @@
 //! Minimum generation error training end to end on a made-up talker: learnt, the same bytes again, interrupted and
 //! gone on with, streamed as in batches, refused in words.
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::hmm::joint::N_EMITTING;
@@ -104,7 +105,7 @@ fn small() -> Settings {
 }
 
 fn quietly(data: &Data, twin: &Model, settings: &Settings, checkpoint: Option<&Path>) -> MgeModel {
-    train_on(data, twin, settings, checkpoint, &|_| ()).unwrap()
+    train_on(data, twin, settings, checkpoint, &()).unwrap()
 }
 
 #[test]
@@ -169,7 +170,7 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
     let twin = twin();
     let data = data(&twin);
     let settings = Settings { passes: 4, ..small() };
-    let whole = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+    let whole = train_on(&data, &twin, &settings, Some(&checkpoint), &|line: &str| {
         // What a run that is killed in its third pass leaves behind.
         if line.starts_with("pass 3/") {
             std::fs::copy(&checkpoint, &early).unwrap();
@@ -177,18 +178,18 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
     })
     .unwrap();
     std::fs::copy(&early, &checkpoint).unwrap();
-    let went_on = std::cell::Cell::new(false);
-    let again = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+    let went_on = AtomicBool::new(false);
+    let again = train_on(&data, &twin, &settings, Some(&checkpoint), &|line: &str| {
         if line.starts_with("going on after step 8") {
-            went_on.set(true);
+            went_on.store(true, Ordering::Relaxed);
         }
     })
     .unwrap();
-    assert!(went_on.get());
+    assert!(went_on.into_inner());
     assert!(whole == again);
 
     let other = Settings { seed: 2, ..settings };
-    let error = train_on(&data, &twin, &other, Some(&checkpoint), &|_| ()).unwrap_err();
+    let error = train_on(&data, &twin, &other, Some(&checkpoint), &()).unwrap_err();
     assert!(error.to_string().contains("other settings"), "{error:#}");
 }
 
@@ -199,7 +200,7 @@ fn an_extreme_rate_is_one_clear_error() {
     for rate in [1e4, 1e30] {
         let mut settings = small();
         settings.rule.rate = rate;
-        let error = train_on(&data, &twin, &settings, None, &|_| ()).unwrap_err();
+        let error = train_on(&data, &twin, &settings, None, &()).unwrap_err();
         let text = error.to_string();
         assert!(
             text.contains("diverged") && text.contains("learning rate"),

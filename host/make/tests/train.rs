@@ -46,7 +46,7 @@ fn score(folder: &FeatureFolder, model: &Model) -> Score {
 fn a_made_up_talker_is_learnt_and_again_the_same() {
     let scratch = tempfile::tempdir().unwrap();
     let folder = made_up_talker(scratch.path(), 12);
-    let model = train(&folder, &[], &small(), &|_| ()).unwrap();
+    let model = train(&folder, &[], &small(), &()).unwrap();
     let acc = score(&folder, &model).acc();
     assert!(acc > 0.8, "ACC {acc} on clips that were not trained on");
 
@@ -57,7 +57,7 @@ fn a_made_up_talker_is_learnt_and_again_the_same() {
     model.write(&paths[0]).unwrap();
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     one_thread
-        .install(|| train(&folder, &[], &small(), &|_| ()))
+        .install(|| train(&folder, &[], &small(), &()))
         .unwrap()
         .write(&paths[1])
         .unwrap();
@@ -83,21 +83,21 @@ fn what_cannot_be_trained_is_said() {
         ..small()
     };
     assert!(
-        train(&folder, &[], &odd, &|_| ())
+        train(&folder, &[], &odd, &())
             .unwrap_err()
             .to_string()
             .contains("power of two")
     );
     folder.manifest.clips.retain(|c| c.split != Split::Train);
     assert!(
-        train(&folder, &[], &small(), &|_| ())
+        train(&folder, &[], &small(), &())
             .unwrap_err()
             .to_string()
             .contains("no training clip")
     );
     folder.manifest.visual_size = 0;
     assert!(
-        train(&folder, &[], &small(), &|_| ())
+        train(&folder, &[], &small(), &())
             .unwrap_err()
             .to_string()
             .contains("no video")

@@ -14,6 +14,7 @@ pub mod mouth;
 pub mod npy;
 pub mod parameters;
 pub mod phones;
+pub mod progress;
 pub mod reference;
 pub mod render;
 pub mod shipped;

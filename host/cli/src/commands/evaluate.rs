@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::choices;
+use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::MgeModel;
@@ -81,6 +82,7 @@ fn short(path: &Path) -> String {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
@@ -109,9 +111,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>>>()?;
             let training = train::Settings::default();
-            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &|line| {
-                eprintln!("{line}")
-            })?
+            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
         }
     };
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
@@ -129,9 +129,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
     if full {
-        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &|line| {
-            eprintln!("{line}")
-        })?);
+        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &progress)?);
         if let Some(trained) = &trained {
             candidates.extend(look_ahead::of_mge(trained, "mge, one model"));
         }
@@ -139,9 +137,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }
-    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &|what| {
-        eprintln!("measuring: {what}")
-    })?;
+    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &progress)?;
     if args.json {
         print!("{}", evaluate::json(&report)?);
     } else {

@@ -5,11 +5,12 @@ use anyhow::{Context as _, Result, bail};
 
 use super::train_mge;
 use super::train_shards::{self, Shards};
+use crate::progress::Terminal;
 use lipstream::hmm::system::{SYSTEMS, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream_make::align;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train::progress::Progress;
+use lipstream_make::train::resume::Resume;
 use lipstream_make::train::state::State;
 use lipstream_make::train::{self, Settings, shards};
 
@@ -129,10 +130,10 @@ fn whole(args: Args) -> Result<()> {
     let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
     if by_likelihood_first {
         let run = this_run(&folder, &heard, &settings)?;
-        settings.progress = Progress::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
+        settings.resume = Resume::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
     }
     let begun = std::time::Instant::now();
-    let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
+    let by_likelihood = || train::train(&folder, &heard, &settings, &Terminal::default());
     match args.method {
         Method::Likelihood => by_likelihood()?.write(output)?,
         Method::Mge => {
@@ -143,7 +144,7 @@ fn whole(args: Args) -> Result<()> {
             train_mge::run(&args.mge, &folder, &heard, &twin, args.clips, args.seed, output)?;
         }
     }
-    settings.progress.finish()?;
+    settings.resume.finish()?;
     eprintln!(
         "wrote {} after {:.0} s",
         output.display(),
@@ -168,8 +169,7 @@ fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> 
         tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
         without: args.without.clone(),
     };
-    let say = |line: &str| eprintln!("{line}");
-    align::train::train(folder, &settings, output.parent(), &say)?.write(output)?;
+    align::train::train(folder, &settings, output.parent(), &Terminal::default())?.write(output)?;
     eprintln!("wrote {}", output.display());
     Ok(())
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 
 use super::choices;
+use crate::progress::Terminal;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::context::Context;
 use lipstream_make::features::FeatureFolder;
@@ -147,9 +148,8 @@ pub(crate) fn run(
         remove()?;
     }
     let settings = args.settings(clips, seed);
-    let model = train(folder, heard, twin, &settings, Some(&checkpoint), &|line| {
-        eprintln!("{line}");
-    })?;
+    let progress = Terminal::default();
+    let model = train(folder, heard, twin, &settings, Some(&checkpoint), &progress)?;
     model.write(output)?;
     remove()
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail};
 
 use super::train::system;
+use crate::progress::Terminal;
 use lipstream::hmm::system::System;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train::Settings;
@@ -84,7 +85,7 @@ fn shard(text: &str) -> Result<(usize, usize)> {
 }
 
 pub(crate) fn run(command: Shards) -> Result<()> {
-    let say = |line: &str| eprintln!("{line}");
+    let progress = Terminal::default();
     match command {
         Shards::Start(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
@@ -93,12 +94,12 @@ pub(crate) fn run(command: Shards) -> Result<()> {
                 .iter()
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>>>()?;
-            shards::start(&folder, &others, args.system, &say)?.write(&args.output)?;
+            shards::start(&folder, &others, args.system, &progress)?.write(&args.output)?;
             eprintln!("wrote {}", args.output.display());
         }
         Shards::Accumulate(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
-            let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &say)?;
+            let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &progress)?;
             eprintln!(
                 "wrote {}: {} frames, log likelihood {:.4} a frame, {} clips without a path",
                 args.output.display(),

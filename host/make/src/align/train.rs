@@ -17,10 +17,11 @@ use crate::em::density;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::shelf::Shelf;
-use crate::train::{Say, data};
+use crate::train::data;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 use lipstream_media::sound;
 
 /// Choices of a training run.
@@ -53,7 +54,7 @@ pub fn train(
     folder: &FeatureFolder,
     settings: &Settings,
     aside: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<AudioHmm> {
     if !settings.mixtures.is_power_of_two() {
         bail!(
@@ -66,14 +67,14 @@ pub fn train(
         .filter(|c| !settings.without.contains(&c.speaker))
         .collect();
     let phones = data::phones_said(clips.iter().copied());
-    let utterances = Sounds::hear(folder, clips, &phones, aside, say)?;
+    let utterances = Sounds::hear(folder, clips, &phones, aside, progress)?;
     if utterances.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
     }
     let used = &utterances.clips;
     let labelled = used.iter().all(|c| !c.phones.is_empty());
     let tolerance = settings.tolerance.filter(|_| labelled);
-    say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
+    progress.say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
     let (mut parameters, mut floors, _) = em::start(&utterances, Topology::PH_HMM, &phones)?;
     floors.variance *= FLOOR;
     floors.occupancy = LEAST_FRAMES;
@@ -88,10 +89,10 @@ pub fn train(
             if last.is_none() && parameters.audio.mean.dim().1 == 1 {
                 em::warnings(&parameters, &sums, &floors)
                     .iter()
-                    .for_each(|line| say(line));
+                    .for_each(|line| progress.say(line));
             }
             em::maximise(&mut parameters, &sums, &floors, None);
-            say(&format!(
+            progress.say(&format!(
                 "  K = {}: log likelihood {:.4} a frame, {} clips without a path ({:.1} s)",
                 parameters.audio.mean.dim().1,
                 sums.per_frame(),
@@ -146,13 +147,13 @@ struct Sounds<'a> {
 }
 
 impl<'a> Sounds<'a> {
-    /// Hears the clips that can be used; `say` names the others.
+    /// Hears the clips that can be used; `progress` hears of the others.
     fn hear(
         folder: &FeatureFolder,
         clips: Vec<&'a Clip>,
         phones: &'a [Phone],
         aside: Option<&Path>,
-        say: Say,
+        progress: &dyn Progress,
     ) -> Result<Self> {
         let mut sounds = Self {
             clips: Vec::new(),
@@ -167,7 +168,7 @@ impl<'a> Sounds<'a> {
                     sounds.heard.push(audio.into_raw_vec_and_offset().0)?;
                     sounds.clips.push(clip);
                 }
-                Err(error) => say(&format!("left out: {error:#}")),
+                Err(error) => progress.say(&format!("left out: {error:#}")),
             }
             Ok(())
         })?;

@@ -17,6 +17,7 @@ use super::summary::{self, Summary};
 use super::visual;
 use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
 use lipstream::npy;
+use lipstream::progress::{Progress, Steps};
 use lipstream::reference::{self, Normalisation, SpeechMean};
 use lipstream_media::video;
 use lipstream_media::{files, sound};
@@ -60,25 +61,6 @@ impl Default for Settings {
     }
 }
 
-/// Who is told how the work goes on.
-pub trait Watch: Sync {
-    /// A pass of `steps` steps begins.
-    fn begin(&self, what: &str, steps: usize);
-    fn step(&self);
-    /// Something that the user must hear now, such as a clip that cannot be read.
-    fn say(&self, line: &str);
-    /// The pass is over.
-    fn end(&self);
-}
-
-/// Nobody.
-impl Watch for () {
-    fn begin(&self, _: &str, _: usize) {}
-    fn step(&self) {}
-    fn say(&self, _: &str) {}
-    fn end(&self) {}
-}
-
 /// A clip on its way: its manifest entry and where its pronunciations came from.
 pub(super) struct Prepared {
     pub(super) source: Source,
@@ -114,7 +96,7 @@ impl Prepared {
 }
 
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
-pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
+pub fn prepare(settings: &Settings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
@@ -125,12 +107,12 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
     claim(&settings.out, settings.fresh)?;
 
     let mut skipped = Vec::new();
-    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, watch, &mut skipped)?;
-    observe(&clips, &settings.out, start_mean, watch)?;
+    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, progress, &mut skipped)?;
+    observe(&clips, &settings.out, start_mean, progress)?;
     let visual_size = if settings.audio_only {
         0
     } else {
-        visual::see(&mut clips, settings, watch, &mut skipped)?
+        visual::see(&mut clips, settings, progress, &mut skipped)?
     };
 
     clips.sort_by(|a, b| a.clip.id.cmp(&b.clip.id));
@@ -190,12 +172,12 @@ fn listen(
     found: &Found,
     settings: &Settings,
     pronouncer: &Pronouncer,
-    watch: &dyn Watch,
+    progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<(Vec<Prepared>, [f32; lipstream_core::N_STATIC])> {
     let (mut train, mut others) = (SpeechMean::default(), SpeechMean::default());
     let mut clips = Vec::with_capacity(found.clips.len());
-    watch.begin("sound and labels", found.clips.len());
+    let steps = Steps::begin(progress, "sound and labels", found.clips.len());
     for some in found
         .clips
         .chunks(CLIPS_PER_THREAD * rayon::current_num_threads())
@@ -205,13 +187,13 @@ fn listen(
             .map(|source| {
                 let result = listen_to(source, &settings.out, pronouncer);
                 if let Err(error) = &result {
-                    watch.say(&format!(
+                    progress.say(&format!(
                         "skipped {}: {}",
                         source.sound_path().display(),
                         reason(error)
                     ));
                 }
-                watch.step();
+                steps.made();
                 result
             })
             .collect();
@@ -234,7 +216,6 @@ fn listen(
             }
         }
     }
-    watch.end();
     if clips.is_empty() {
         bail!(
             "none of the {} clips in {} can be read (the first: {})",
@@ -346,9 +327,9 @@ fn observe(
     clips: &[Prepared],
     out: &Path,
     start_mean: [f32; lipstream_core::N_STATIC],
-    watch: &dyn Watch,
+    progress: &dyn Progress,
 ) -> Result<()> {
-    watch.begin("audio features", clips.len());
+    let steps = Steps::begin(progress, "audio features", clips.len());
     let mean: Vec<String> = start_mean
         .iter()
         .map(|v| format!("{:08x}", v.to_bits()))
@@ -357,10 +338,9 @@ fn observe(
     clips.par_iter().try_for_each(|prepared| {
         observe_one(prepared, out, &mean.concat(), normalisation)
             .with_context(|| format!("audio features of {}", prepared.source.sound_path().display()))?;
-        watch.step();
+        steps.made();
         Ok::<(), anyhow::Error>(())
     })?;
-    watch.end();
     Ok(())
 }
 

@@ -11,12 +11,13 @@ use anyhow::{Context, Result, anyhow, bail};
 use ndarray::Array4;
 use rayon::prelude::*;
 
-use super::prepare::{Prepared, Settings, Watch, reason};
+use super::prepare::{Prepared, Settings, reason};
 use super::stamp::{self, Notes};
 use crate::features::{self, Skipped, Split};
 use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
 use lipstream::mouth::MouthSpace;
 use lipstream::npy;
+use lipstream::progress::{Progress, Steps};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 use lipstream_media::files;
 use lipstream_media::video;
@@ -51,11 +52,11 @@ struct Face<'a> {
 pub(super) fn see(
     clips: &mut Vec<Prepared>,
     settings: &Settings,
-    watch: &dyn Watch,
+    progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<usize> {
     let out = settings.out.as_path();
-    let results = track_all(clips, out, watch)?;
+    let results = track_all(clips, out, progress)?;
     if results.iter().all(Option::is_none) {
         return Ok(0);
     }
@@ -87,8 +88,8 @@ pub(super) fn see(
             skipped.last().map_or("", |s| s.reason.as_str())
         );
     }
-    let (space, space_stamp) = eigenmouths(clips, &stamps, settings, watch)?;
-    weigh(clips, &stamps, &space, &space_stamp, settings, watch)?;
+    let (space, space_stamp) = eigenmouths(clips, &stamps, settings, progress)?;
+    weigh(clips, &stamps, &space, &space_stamp, settings, progress)?;
     Ok(space.size())
 }
 
@@ -99,7 +100,7 @@ fn video_path(prepared: &Prepared) -> &Path {
 /// Mouth images of every clip with video: number of pictures, their rate, and what vouches for them.
 type Tracked = Option<Result<(usize, f32, Stamp)>>;
 
-fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tracked>> {
+fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<Vec<Tracked>> {
     let mut faces = faces(clips)?;
     // The speaker with the most training clips first: his mouth's size is everyone's.
     faces.sort_by_key(|f| {
@@ -107,10 +108,8 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
         std::cmp::Reverse((training.count(), f.clips.len()))
     });
     let mut results: Vec<Tracked> = clips.iter().map(|_| None).collect();
-    let steps = faces.iter().map(|f| f.clips.len()).sum();
-    if steps > 0 {
-        watch.begin("mouths", steps);
-    }
+    let count = faces.iter().map(|f| f.clips.len()).sum();
+    let steps = (count > 0).then(|| Steps::begin(progress, "mouths", count));
     let mut size: Option<(usize, usize)> = None;
     for face in &faces {
         // Learnt here and not in the loop below, where one thread would wait for what it is doing itself.
@@ -124,13 +123,13 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
         let track = |i: &usize| {
             let result = track_one(&clips[*i], face, size, out);
             if let Err(error) = &result {
-                watch.say(&format!(
+                progress.say(&format!(
                     "skipped {}: {}",
                     video_path(&clips[*i]).display(),
                     reason(error)
                 ));
             }
-            watch.step();
+            steps.iter().for_each(Steps::made);
             (*i, result)
         };
         for (i, result) in face.clips.par_iter().map(track).collect::<Vec<_>>() {
@@ -141,7 +140,6 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
             results[i] = Some(result);
         }
     }
-    watch.end();
     Ok(results)
 }
 
@@ -308,7 +306,7 @@ fn eigenmouths(
     clips: &[Prepared],
     stamps: &[Stamp],
     settings: &Settings,
-    watch: &dyn Watch,
+    progress: &dyn Progress,
 ) -> Result<(MouthSpace, Stamp)> {
     let seen: Vec<usize> = (0..clips.len())
         .filter(|i| clips[*i].clip.video_frames > 0)
@@ -338,7 +336,7 @@ fn eigenmouths(
         return Ok((MouthSpace::load(&Tensors::read(&path)?)?, stamp));
     }
     notes.forget("space");
-    watch.begin("eigenmouths", used.len() + 1);
+    let steps = Steps::begin(progress, "eigenmouths", used.len() + 1);
     let mut samples: Option<MouthSamples> = None;
     for i in used {
         let images = features::read_mouths(&mouths_path(&settings.out, &clips[i].clip.id))?;
@@ -346,7 +344,7 @@ fn eigenmouths(
         samples
             .get_or_insert_with(|| MouthSamples::new((track.width, track.height)))
             .add_clip(&track, keep)?;
-        watch.step();
+        steps.made();
     }
     let samples = samples.context("no clip has mouth images")?;
     if samples.len() < 2 {
@@ -354,9 +352,8 @@ fn eigenmouths(
     }
     let size = settings.eigenmouths.min(samples.len() - 1);
     let (space, carried) = vision::eigenmouths(&samples, size)?;
-    watch.step();
-    watch.end();
-    watch.say(&format!(
+    steps.made();
+    progress.say(&format!(
         "{size} eigenmouths of {} images ({}×{} pixels) carry {:.1} % of their variance",
         samples.len(),
         space.width,
@@ -377,12 +374,12 @@ fn weigh(
     space: &MouthSpace,
     space_stamp: &str,
     settings: &Settings,
-    watch: &dyn Watch,
+    progress: &dyn Progress,
 ) -> Result<()> {
     let seen: Vec<usize> = (0..clips.len())
         .filter(|i| clips[*i].clip.video_frames > 0)
         .collect();
-    watch.begin("mouth weights", seen.len());
+    let steps = Steps::begin(progress, "mouth weights", seen.len());
     seen.par_iter().try_for_each(|i| {
         let id = &clips[*i].clip.id;
         let path = settings.out.join("visual").join(format!("{id}.npy"));
@@ -398,10 +395,9 @@ fn weigh(
             npy::write_npy(&path, &weights)?;
             notes.note("visual", &stamp)?;
         }
-        watch.step();
+        steps.made();
         Ok::<(), anyhow::Error>(())
     })?;
-    watch.end();
     Ok(())
 }
 

@@ -16,7 +16,7 @@ use super::models;
 use crate::em::source::{Source, Utterance};
 use crate::features::{FeatureFolder, Split};
 use crate::train::data::Clips;
-use crate::train::{self, Say, maps};
+use crate::train::{self, maps};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::likelihood::Model;
@@ -24,6 +24,7 @@ use lipstream::kinds::likelihood::convert::{Follower, Lag, apply_maps, smooth};
 use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::recurrent::model::MgeModel;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// One look-ahead, in frames of 10 ms between centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,7 +79,7 @@ pub fn curves<'a>(
     folder: &FeatureFolder,
     systems: &[System],
     models: &[Model],
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Vec<Candidate<'a>>> {
     let mut out = Vec::new();
     for system in systems {
@@ -86,16 +87,16 @@ pub fn curves<'a>(
             continue;
         };
         let refit = match system.speech {
-            Speech::LocalLinear => Some(Refit::new(folder, &model.phones, say)?),
+            Speech::LocalLinear => Some(Refit::new(folder, &model.phones, progress)?),
             Speech::Means | Speech::Viterbi => None,
         };
         for wait in LOOK_AHEADS.map(Wait::of) {
             let ms = 10 * wait.frames as u32;
             let name = format!("{}, {ms} ms", system.name);
-            say(&format!("for the curve: {name}"));
+            progress.say(&format!("for the curve: {name}"));
             let model = wait.cut(model);
             let candidate = match &refit {
-                Some(refit) => refit.candidate(name, model, wait, say)?,
+                Some(refit) => refit.candidate(name, model, wait, progress)?,
                 None => by_means(name, *system, &model, wait),
             };
             out.push(candidate.of_family(system.name).unlisted());
@@ -158,8 +159,8 @@ impl Source for Cut<'_> {
 }
 
 impl<'a> Refit<'a> {
-    fn new(folder: &'a FeatureFolder, phones: &'a [Phone], say: Say) -> Result<Self> {
-        let clips = |split| Clips::new(folder, split, phones, say).readable(true, say);
+    fn new(folder: &'a FeatureFolder, phones: &'a [Phone], progress: &dyn Progress) -> Result<Self> {
+        let clips = |split| Clips::new(folder, split, phones, progress).readable(true, progress);
         let new = Self {
             train: clips(Split::Train),
             judges: clips(Split::Val),
@@ -172,7 +173,13 @@ impl<'a> Refit<'a> {
         Ok(new)
     }
 
-    fn candidate<'b>(&self, name: String, mut model: Model, wait: Wait, say: Say) -> Result<Candidate<'b>> {
+    fn candidate<'b>(
+        &self,
+        name: String,
+        mut model: Model,
+        wait: Wait,
+        progress: &dyn Progress,
+    ) -> Result<Candidate<'b>> {
         let cut = |clips| Cut { clips, wait };
         let last = wait.frames as i32 - i32::from(wait.average);
         let settings = train::Settings {
@@ -183,7 +190,7 @@ impl<'a> Refit<'a> {
         };
         let hmm = Hmm::of_model(&model);
         let (following, context, fitted) =
-            maps::maps(&hmm, &cut(&self.train), &cut(&self.judges), &settings, say)?;
+            maps::maps(&hmm, &cut(&self.train), &cut(&self.judges), &settings, progress)?;
         (model.following, model.context, model.maps) = (following, context, fitted);
         let follower = Follower::of_model(&model);
         Ok(Candidate::new(

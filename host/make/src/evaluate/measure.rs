@@ -17,6 +17,7 @@ use super::report::{
 use super::{Truth, changes, cold, truths};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::noise;
+use lipstream::progress::Progress;
 use lipstream::reference::{self, Normalisation};
 use lipstream_media::sound;
 
@@ -42,7 +43,7 @@ struct Bench<'a> {
     draws: Draws,
     settings: &'a Settings,
     start_mean: [f32; N_STATIC],
-    progress: &'a (dyn Fn(&str) + Sync),
+    progress: &'a dyn Progress,
 }
 
 /// Measures every candidate on the clips of `split` that have video. `progress` hears what is being done.
@@ -51,7 +52,7 @@ pub fn measure(
     split: Split,
     candidates: &[Candidate],
     settings: &Settings,
-    progress: &(dyn Fn(&str) + Sync),
+    progress: &dyn Progress,
 ) -> Result<Report> {
     check_names(candidates, settings)?;
     let truths = truths(folder, split)?;
@@ -78,7 +79,7 @@ pub fn measure(
         progress,
     };
     let mut notes = Vec::new();
-    progress("mouth images");
+    progress.say("measuring: mouth images");
     let gaps = match bench.gaps() {
         Ok(gaps) => Some(gaps),
         Err(error) => {
@@ -256,7 +257,7 @@ impl<'a> Bench<'a> {
     }
 
     fn whole(&self, candidate: &Candidate, gaps: Option<&Gaps>, drawn: &[usize]) -> Result<Whole> {
-        (self.progress)(&candidate.name);
+        self.progress.say(&format!("measuring: {}", candidate.name));
         struct Said {
             score: Score,
             gap: Vec<f32>,
@@ -351,7 +352,8 @@ impl<'a> Bench<'a> {
                 })
                 .collect();
             for &snr_db in &settings.snrs_db {
-                (self.progress)(&format!("{} noise, {snr_db} dB", kind.name()));
+                self.progress
+                    .say(&format!("measuring: {} noise, {snr_db} dB", kind.name()));
                 let noisy: Vec<Heard> = self
                     .heard
                     .par_iter()
@@ -397,7 +399,8 @@ impl<'a> Bench<'a> {
         let draws = Draws::new(starts.len(), self.settings.resamples, seed);
         let mut systems = Vec::new();
         for candidate in candidates.iter().filter(|c| c.hears && c.listed) {
-            (self.progress)(&format!("{}, cold starts", candidate.name));
+            self.progress
+                .say(&format!("measuring: {}, cold starts", candidate.name));
             let said: Vec<cold::Said> = starts
                 .par_iter()
                 .map(|start| start.say(candidate))
@@ -435,7 +438,8 @@ impl<'a> Bench<'a> {
         let Some(iterate) = &candidate.iterations else {
             return Ok(None);
         };
-        (self.progress)(&format!("{}, iterations", candidate.name));
+        self.progress
+            .say(&format!("measuring: {}, iterations", candidate.name));
         let clips: Vec<(Vec<Score>, Vec<f64>)> = self
             .heard
             .par_iter()

@@ -8,12 +8,13 @@ use anyhow::{Context as _, Result, bail, ensure};
 use super::candidate::{Candidate, Heard, Iteration, Prediction};
 use super::models::local_linear;
 use crate::features::FeatureFolder;
-use crate::train::{self, Say, Settings};
+use crate::train::{self, Settings};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::{SYSTEMS, Speech, System};
 use lipstream::kinds::likelihood::convert::{Lag, smooth, viseme_weights};
 use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::{EmSettings, Model};
+use lipstream::progress::Progress;
 
 /// Systems by name, separated by commas; `all` are all of them.
 pub fn parse(names: &str) -> Result<Vec<System>> {
@@ -38,7 +39,7 @@ pub fn open_or_train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Vec<Model>> {
     std::fs::create_dir_all(store).with_context(|| format!("cannot create {}", store.display()))?;
     let mut models: Vec<Model> = Vec::new();
@@ -63,7 +64,7 @@ pub fn open_or_train(
                 system: hmm,
                 ..settings.clone()
             };
-            let model = train::train(folder, audio_only, &settings, say)?;
+            let model = train::train(folder, audio_only, &settings, progress)?;
             model.write(&path)?;
             model
         };

@@ -12,10 +12,10 @@ use crate::em::source::{Source, Utterance, in_order};
 use crate::em::{Aligner, Parameters as HmmParameters};
 use crate::features::{FeatureFolder, Split};
 use crate::noise;
-use crate::train::Say;
 use crate::train::data::{Clips, Observed};
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
+use lipstream::progress::Progress;
 use lipstream_media::sound;
 
 /// One clip.
@@ -55,7 +55,7 @@ pub fn read(
     twin: &Model,
     settings: &Settings,
     aside: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Data> {
     if folder.manifest.visual_size != twin.visual_size() {
         bail!(
@@ -65,8 +65,8 @@ pub fn read(
             twin.visual_size()
         );
     }
-    let mut train = Clips::new(folder, Split::Train, &twin.phones, say).readable(true, say);
-    let mut validation = Clips::new(folder, Split::Val, &twin.phones, say).readable(false, say);
+    let mut train = Clips::new(folder, Split::Train, &twin.phones, progress).readable(true, progress);
+    let mut validation = Clips::new(folder, Split::Val, &twin.phones, progress).readable(false, progress);
     validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
         bail!("{} has no training clip that can be used", folder.root.display());
@@ -103,7 +103,7 @@ pub fn read(
         scale: &scale,
         deviation: &deviation,
         seed: settings.seed,
-        say,
+        progress,
     };
     let mut data = Data {
         train: Store::new(aside)?,
@@ -114,8 +114,8 @@ pub fn read(
     };
     reader.read(folder, &train, settings.variants, &mut data.train)?;
     for other in audio_only {
-        let clips = Clips::new(other, Split::Train, &twin.phones, say).observed(Observed::Sound);
-        let clips = clips.readable(false, say);
+        let clips = Clips::new(other, Split::Train, &twin.phones, progress).observed(Observed::Sound);
+        let clips = clips.readable(false, progress);
         reader.read(other, &clips, settings.variants, &mut data.heard)?;
     }
     reader.read(folder, &validation, 0, &mut data.validation)?;
@@ -143,7 +143,7 @@ struct Reader<'a> {
     scale: &'a [f32],
     deviation: &'a [f32],
     seed: u64,
-    say: Say<'a>,
+    progress: &'a dyn Progress,
 }
 
 impl Reader<'_> {
@@ -176,7 +176,8 @@ impl Reader<'_> {
         in_order(clips.len(), work, |clip| match clip {
             Ok(clip) => store.push(&clip),
             Err(id) => {
-                (self.say)(&format!("left out: clip {id}: no path through its words"));
+                self.progress
+                    .say(&format!("left out: clip {id}: no path through its words"));
                 Ok(())
             }
         })
@@ -287,7 +288,7 @@ mod tests {
     #[test]
     fn clips_are_drawn_by_the_seed_as_likelihood_training_draws_them() {
         let folder = folder(30);
-        let all = || Clips::new(&folder, Split::Train, &[Phone::SIL], &|_| ());
+        let all = || Clips::new(&folder, Split::Train, &[Phone::SIL], &());
         let ids = |clips: &Clips| clips.ids().map(str::to_owned).collect::<Vec<_>>();
         let choose = |clips, seed, hold_out| {
             let mut train = all();

@@ -22,11 +22,11 @@ use super::settings::Settings;
 use super::start::{Seen, start};
 use crate::em::source::in_order;
 use crate::features::FeatureFolder;
-use crate::train::Say;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS};
 use lipstream::kinds::recurrent::model::{LEAST, MgeModel, check_twin};
 use lipstream::kinds::recurrent::parameters::{Parameters, Shape};
+use lipstream::progress::Progress;
 
 /// Trains, beginning at the likelihood-trained `twin`. `checkpoint` is where an interrupted run left off and will
 /// leave off.
@@ -36,20 +36,20 @@ pub fn train(
     twin: &Model,
     settings: &Settings,
     checkpoint: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<MgeModel> {
     settings.check()?;
     check_twin(twin)?;
-    say("forced alignment with the likelihood-trained model");
+    progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
-    let data = data::read(folder, audio_only, twin, settings, aside, say)?;
-    say(&format!(
+    let data = data::read(folder, audio_only, twin, settings, aside, progress)?;
+    progress.say(&format!(
         "{} clips with video, {} with sound only, {} to validate on",
         data.train.len(),
         data.heard.len(),
         data.validation.len()
     ));
-    train_on(&data, twin, settings, checkpoint, say)
+    train_on(&data, twin, settings, checkpoint, progress)
 }
 
 /// [`train`] on data that has been read.
@@ -58,7 +58,7 @@ pub fn train_on(
     twin: &Model,
     settings: &Settings,
     checkpoint_path: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<MgeModel> {
     let shape = Shape {
         phones: twin.phones.len(),
@@ -96,7 +96,7 @@ pub fn train_on(
     };
     let (mut optimiser, mut best) = match found {
         Some((optimiser, best, context_mean)) => {
-            say(&format!("going on after step {} of {steps}", optimiser.step));
+            progress.say(&format!("going on after step {} of {steps}", optimiser.step));
             trainer.context_mean = context_mean;
             (optimiser, best)
         }
@@ -111,7 +111,7 @@ pub fn train_on(
             (Optimiser::new(parameters), best)
         }
     };
-    say(&format!(
+    progress.say(&format!(
         "{} parameters, {:.1} KiB of tables in i8; {steps} steps",
         optimiser.parameters.values.len(),
         optimiser.parameters.table_size() as f64 / 1024.0
@@ -141,7 +141,7 @@ pub fn train_on(
         if optimiser.step % trainer.steps_per_pass() == 0 {
             let pass = optimiser.step / trainer.steps_per_pass();
             let seen = validate(&trainer, &optimiser, pass, &mut best)?;
-            say(&format!(
+            progress.say(&format!(
                 "pass {pass}/{}: error {:.4}, entropy {:.4}, gradient up to {length:.2}; {seen}; {:.1} s",
                 settings.passes,
                 error / f64::from(count),
@@ -155,7 +155,7 @@ pub fn train_on(
             (error, entropy, length, count) = (0.0, 0.0, 0.0, 0);
         }
     }
-    say(&format!("the parameters after pass {} are kept", best.pass));
+    progress.say(&format!("the parameters after pass {} are kept", best.pass));
     let validation_amse = match data.validation.is_empty() {
         true => None,
         false => {

@@ -3,14 +3,15 @@
 use anyhow::Result;
 use ndarray::{Array3, Axis};
 
+use super::Settings;
 use super::data::{Clips, Observed};
 use super::em::{Aligned, Coupled, passes, split_audio};
-use super::{Say, Settings};
 use crate::em::{Parameters, Start};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::Density;
 use lipstream::hmm::topology::VisualAtom;
+use lipstream::progress::Progress;
 
 /// Which phones the clips' networks hold.
 pub(super) fn seen(train: &Clips, n: usize) -> Vec<bool> {
@@ -109,7 +110,7 @@ pub(super) fn retrain(
     density: Density,
     (start, all): (Start, Clips),
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Mixtures> {
     let (mut parameters, floors, _) = start.finish();
     let components = before.audio.mean.dim().1;
@@ -117,7 +118,7 @@ pub(super) fn retrain(
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     }
     loop {
-        let sums = passes(&mut parameters, &all, &floors, None, settings, say)?;
+        let sums = passes(&mut parameters, &all, &floors, None, settings, progress)?;
         if parameters.audio.mean.dim().1 >= components {
             return Ok(parameters.audio);
         }

@@ -9,12 +9,12 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use super::Say;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::network::PhoneNetwork;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// Centre of audio frame t in seconds.
 pub fn frame_time(t: usize) -> f32 {
@@ -160,8 +160,13 @@ impl<'a> Clips<'a> {
         }
     }
 
-    /// The clips that can be used; `say` names the others. Looks at the manifest only.
-    pub fn new(folder: &'a FeatureFolder, split: Split, phones: &'a [Phone], say: Say) -> Self {
+    /// The clips that can be used; `progress` hears of the others. Looks at the manifest only.
+    pub fn new(
+        folder: &'a FeatureFolder,
+        split: Split,
+        phones: &'a [Phone],
+        progress: &dyn Progress,
+    ) -> Self {
         let mut all = Self {
             clips: folder.split(split).map(|clip| (folder, clip)).collect(),
             ..Self::none(phones)
@@ -171,12 +176,12 @@ impl<'a> Clips<'a> {
             .iter()
             .map(|(_, clip)| usable(clip, &all.index()).map(drop));
         let fit: Vec<Result<()>> = fit.collect();
-        all.leave_out(fit, say);
+        all.leave_out(fit, progress);
         all
     }
 
     /// Those whose files can be read, and have a mouth if they are to.
-    pub fn readable(mut self, with_video: bool, say: Say) -> Self {
+    pub fn readable(mut self, with_video: bool, progress: &dyn Progress) -> Self {
         let mut read = Vec::new();
         let try_one = |n: usize| {
             let utterance = self.get(n);
@@ -190,18 +195,18 @@ impl<'a> Clips<'a> {
             Ok(())
         });
         debug_assert!(all.is_ok(), "what cannot be read is no error here");
-        self.leave_out(read, say);
+        self.leave_out(read, progress);
         self
     }
 
-    fn leave_out(&mut self, fit: Vec<Result<()>>, say: Say) {
+    fn leave_out(&mut self, fit: Vec<Result<()>>, progress: &dyn Progress) {
         let before = self.len();
         for error in fit.iter().filter_map(|f| f.as_ref().err()) {
-            say(&format!("left out: {error:#}"));
+            progress.say(&format!("left out: {error:#}"));
         }
         self.keep(&fit.iter().map(Result::is_ok).collect::<Vec<_>>());
         if self.len() < before {
-            say(&format!(
+            progress.say(&format!(
                 "{} clips left out, {} used",
                 before - self.len(),
                 self.len()
@@ -306,7 +311,7 @@ pub(super) fn stacked(apart: Utterance) -> Result<Utterance> {
     })
 }
 
-/// Phones that a split's clips may say, in table order, silence always among them.
+/// Phones that a split's clips may progress, in table order, silence always among them.
 pub fn phones_said<'a>(clips: impl Iterator<Item = &'a Clip>) -> Vec<Phone> {
     let mut said: Vec<Phone> = vec![Phone::SIL, Phone::SP];
     for clip in clips {

@@ -7,10 +7,10 @@ use ndarray::{Array3, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+use super::Settings;
 use super::bigram::{self, Said};
 use super::data::{Clips, Observed, stacked};
 use super::state::State;
-use super::{Say, Settings};
 use crate::em::density::{self, Floors};
 use crate::em::source::{Source, in_order};
 use crate::em::{self, Aligner, Parameters};
@@ -19,6 +19,7 @@ use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::{Density, System};
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// Frames that a component must have before it is split.
 pub(super) const ENOUGH_TO_SPLIT: f64 = 30.0;
@@ -50,11 +51,11 @@ pub(super) fn coupled(
     phones: &[Phone],
     system: System,
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Coupled> {
     let observed = observed(system);
     let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
-    let parameters = grow(&train_on, &judge_on, phones, system, settings, say)?;
+    let parameters = grow(&train_on, &judge_on, phones, system, settings, progress)?;
     finish(parameters, train, observed)
 }
 
@@ -157,7 +158,7 @@ fn grow(
     phones: &[Phone],
     system: System,
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Parameters> {
     let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
     let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
@@ -169,11 +170,11 @@ fn grow(
             &audio_floors,
             visual_floors.as_ref(),
             settings,
-            say,
+            progress,
         )?;
         if !validation.is_empty() {
             let unseen = em::expect(&parameters, validation)?.per_frame();
-            say(&format!("  validation clips: {unseen:.4} a frame"));
+            progress.say(&format!("  validation clips: {unseen:.4} a frame"));
             match &best {
                 Some((likeliest, before)) if unseen <= *likeliest => return Ok(before.clone()),
                 _ => best = Some((unseen, parameters.clone())),
@@ -209,13 +210,13 @@ pub(super) fn passes(
     audio: &Floors,
     visual: Option<&Floors>,
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<em::Sums> {
     let n = settings.iterations.max(1);
-    let stage = settings.progress.stage();
+    let stage = settings.resume.stage();
     let (mut done, mut last) = (0, None);
     if let Some((pass, kept, sums)) = stage.load(n, parameters) {
-        say(&format!("  {pass} of {n} passes were made before"));
+        progress.say(&format!("  {pass} of {n} passes were made before"));
         *parameters = kept;
         (done, last) = (pass, Some(sums));
     }
@@ -226,7 +227,7 @@ pub(super) fn passes(
             bail!("no utterance fits its transcript: check the labels");
         }
         if !sums.failed.is_empty() {
-            say(&format!(
+            progress.say(&format!(
                 "no path through {} utterances: {}",
                 sums.failed.len(),
                 sums.failed.join(" ")
@@ -235,11 +236,11 @@ pub(super) fn passes(
         if pass == 1 {
             em::warnings(parameters, &sums, audio)
                 .iter()
-                .for_each(|line| say(line));
+                .for_each(|line| progress.say(line));
         }
         em::maximise(parameters, &sums, audio, visual);
         stage.save(pass, parameters, &sums)?;
-        say(&format!(
+        progress.say(&format!(
             "  K = {}: log likelihood {:.4} a frame ({:.1} s)",
             parameters.audio.mean.dim().1,
             sums.per_frame(),

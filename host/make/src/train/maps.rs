@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
-use super::{Say, Settings};
+use super::Settings;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::evaluate::metrics::Score;
 use crate::train::local_linear::{ContextSums, MapSums};
@@ -13,6 +13,7 @@ use lipstream::kinds::likelihood::convert::{Follower, Lag, smooth};
 use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::local_linear;
 use lipstream::kinds::likelihood::{ContextMap, EmSettings, Following, LocalLinear, MStep};
+use lipstream::progress::Progress;
 
 fn visual(u: &Utterance) -> Result<&Array2<f32>> {
     u.visual
@@ -30,7 +31,7 @@ pub(crate) fn maps(
     train: &impl Source,
     judges: &impl Source,
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<(Following, ContextMap, LocalLinear)> {
     let statics = |u: &Utterance| u.audio.slice(s![.., ..N_STATIC]).to_owned();
     let mut sums = ContextSums::new(settings.taps.len() * N_STATIC);
@@ -84,7 +85,7 @@ pub(crate) fn maps(
             Ok(())
         })?;
         for ((maps, score), penalty) in fitted.into_iter().zip(&scores).zip(&settings.penalties) {
-            say(&format!(
+            progress.say(&format!(
                 "  maps: acoustic scale {acoustic_scale}, penalty {penalty}: AMSE {:.2}, ACC {:.4} on {} validation clips",
                 score.amse(),
                 score.acc(),
@@ -113,7 +114,7 @@ pub(super) fn conversion(
     hmm: &Hmm,
     judges: &impl Source,
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<EmSettings> {
     let inverter = Inverter::new(*hmm);
     let mut best = (f64::INFINITY, EmSettings::default());
@@ -143,7 +144,7 @@ pub(super) fn conversion(
             }
         }
         let accs: Vec<String> = scores.iter().map(|s| format!("{:.3}", s.acc())).collect();
-        say(&format!(
+        progress.say(&format!(
             "  means: acoustic scale {acoustic_scale}, visual exponent {visual_exponent}: ACC per iteration {}",
             accs.join(" ")
         ));
@@ -156,7 +157,7 @@ pub(super) fn conversion(
     for exponent in &VISUAL_EXPONENTS[1..] {
         judge(acoustic_scale, *exponent, &mut best)?;
     }
-    say(&format!(
+    progress.say(&format!(
         "  means: visual exponent {}, {} iterations: AMSE {:.2}",
         best.1.visual_exponent, best.1.iterations, best.0
     ));

@@ -6,7 +6,7 @@ pub mod data;
 mod em;
 pub mod local_linear;
 pub(crate) mod maps;
-pub mod progress;
+pub mod resume;
 pub mod shards;
 pub mod state;
 pub mod sums;
@@ -15,7 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use ndarray::Array1;
 
 use self::data::{Clips, Observed};
-use self::progress::Progress;
+use self::resume::Resume;
 use self::state::State;
 use crate::em::source::Source;
 use crate::features::{FeatureFolder, Split};
@@ -23,6 +23,7 @@ use lipstream::hmm::Hmm;
 use lipstream::hmm::system::System;
 use lipstream::kinds::likelihood::Model;
 use lipstream::mouth::MouthSpace;
+use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 
 /// Choices of a training run.
@@ -50,7 +51,7 @@ pub struct Settings {
     /// 0: components split along all dimensions alike; else the directions are drawn.
     pub seed: u64,
     /// Where an interrupted run is taken up from; by default nothing is kept.
-    pub progress: Progress,
+    pub resume: Resume,
     /// The first stage as shards have done it, in place of joint EM.
     pub state: Option<State>,
 }
@@ -69,21 +70,18 @@ impl Default for Settings {
             penalties: vec![100.0, 300.0, 1000.0],
             clips: None,
             seed: 0,
-            progress: Progress::default(),
+            resume: Resume::default(),
             state: None,
         }
     }
 }
-
-/// Where training says what it does.
-pub type Say<'a> = &'a dyn Fn(&str);
 
 /// Trains on the audio-visual clips of `folder` and the sound of every folder in `audio_only`.
 pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
     settings: &Settings,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Model> {
     if folder.manifest.visual_size == 0 {
         bail!(
@@ -98,7 +96,7 @@ pub fn train(
     }
     let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
     let phones = data::phones_said(folders.iter().flat_map(|f| f.split(Split::Train)));
-    let with_video = |split| Clips::new(folder, split, &phones, say).readable(true, say);
+    let with_video = |split| Clips::new(folder, split, &phones, progress).readable(true, progress);
     let mut train = with_video(Split::Train);
     if let Some(clips) = settings.clips {
         train.draw(clips, settings.seed);
@@ -109,12 +107,12 @@ pub fn train(
     }
     let mut heard = Clips::none(&phones).observed(Observed::Sound);
     for folder in audio_only {
-        let clips = Clips::new(folder, Split::Train, &phones, say).observed(Observed::Sound);
-        heard.extend(&clips.readable(false, say));
+        let clips = Clips::new(folder, Split::Train, &phones, progress).observed(Observed::Sound);
+        heard.extend(&clips.readable(false, progress));
     }
 
     let system = settings.system;
-    say(&format!(
+    progress.say(&format!(
         "{}: {}\n{} phones; joint EM on {} clips",
         system.name,
         system.describe(),
@@ -124,19 +122,19 @@ pub fn train(
     let mut coupled = match &settings.state {
         Some(state) if state.system == system => em::from_state(state, &train, &phones)?,
         Some(state) => bail!("the state is of {}, not of {}", state.system.name, system.name),
-        None => em::coupled(&train, &validation, &phones, system, settings, say)?,
+        None => em::coupled(&train, &validation, &phones, system, settings, progress)?,
     };
     let seen = audio::seen(&train, phones.len());
     coupled.parameters.transition = audio::pool_unseen(&coupled.parameters, &seen);
     audio::look_of_viseme(&mut coupled, &seen);
-    say("audio densities on all speakers");
+    progress.say("audio densities on all speakers");
     let em::Coupled { parameters, aligned } = coupled;
     let (initial, bigram) = bigram::bigram(phones.len(), &aligned.said, &heard);
     let audio = match heard.is_empty() {
         true => parameters.audio,
         false => {
             let all = audio::all_speakers(aligned, &train, &heard)?;
-            audio::retrain(&parameters, &seen, system.density, all, settings, say)?
+            audio::retrain(&parameters, &seen, system.density, all, settings, progress)?
         }
     };
     let visual = parameters.visual.context("joint EM left no visual densities")?;
@@ -150,13 +148,13 @@ pub fn train(
         initial: &initial,
         bigram: &bigram,
     };
-    say("how it is followed, and what it says");
+    progress.say("how it is followed, and what it says");
     let judges = match validation.is_empty() {
         true => &train,
         false => &validation,
     };
-    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, say)?;
-    let conversion = maps::conversion(&hmm, judges, settings, say)?;
+    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, progress)?;
+    let conversion = maps::conversion(&hmm, judges, settings, progress)?;
     let mouth = match folder.mouth_path() {
         path if path.exists() => Some(MouthSpace::load(&Tensors::read(&path)?)?),
         _ => None,

@@ -15,7 +15,7 @@ use lipstream_media::files;
 
 /// Keeps the passes of a run, or (by default) nothing.
 #[derive(Clone, Default)]
-pub struct Progress(Option<Arc<Kept>>);
+pub struct Resume(Option<Arc<Kept>>);
 
 struct Kept {
     folder: PathBuf,
@@ -23,10 +23,10 @@ struct Kept {
     stages: AtomicUsize,
 }
 
-impl fmt::Debug for Progress {
+impl fmt::Debug for Resume {
     /// The same whatever it holds: where a run is kept does not change it.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("Progress")
+        f.write_str("Resume")
     }
 }
 
@@ -36,7 +36,7 @@ pub(super) struct Stage<'a> {
     number: usize,
 }
 
-impl Progress {
+impl Resume {
     /// Kept beside `output`. `run` describes the run (settings, data): what another run left is thrown away.
     pub fn beside(output: &Path, run: &str) -> Result<Self> {
         let mut name = output.file_name().unwrap_or_default().to_owned();
