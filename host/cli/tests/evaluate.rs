@@ -416,7 +416,7 @@ fn features_go_out_and_predictions_come_in() {
     // What does not fit is refused in one line.
     let refused = |candidates: &[Candidate], settings: &Settings| {
         let error = evaluate::measure(&folder, Split::Test, candidates, settings, &()).unwrap_err();
-        let text = format!("{error:#}");
+        let text = lipstream_make::error::chain(&error);
         assert!(!text.contains('\n') && text.len() > 20, "{text}");
         text
     };

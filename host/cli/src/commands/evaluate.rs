@@ -109,7 +109,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .audio
                 .iter()
                 .map(|path| FeatureFolder::open(path))
-                .collect::<Result<Vec<_>>>()?;
+                .collect::<Result<Vec<_>, _>>()?;
             let training = train::Settings::default();
             systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
         }

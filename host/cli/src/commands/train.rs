@@ -111,7 +111,7 @@ fn whole(args: Args) -> Result<()> {
         .audio
         .iter()
         .map(|path| FeatureFolder::open(path))
-        .collect::<Result<Vec<_>>>()?;
+        .collect::<Result<Vec<_>, _>>()?;
     let mut settings = Settings {
         system: args.system,
         audio_mixtures: args.audio_mixtures,

@@ -93,7 +93,7 @@ pub(crate) fn run(command: Shards) -> Result<()> {
                 .audio
                 .iter()
                 .map(|path| FeatureFolder::open(path))
-                .collect::<Result<Vec<_>>>()?;
+                .collect::<Result<Vec<_>, _>>()?;
             shards::start(&folder, &others, args.system, &progress)?.write(&args.output)?;
             eprintln!("wrote {}", args.output.display());
         }

@@ -6,7 +6,6 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
 use lipstream_core::N_OBSERVATION;
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -15,6 +14,7 @@ use super::{Aligner, AudioHmm, Shifts, frame_time, observations, shifts};
 use crate::em;
 use crate::em::density;
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::shelf::Shelf;
 use crate::train::data;
@@ -58,6 +58,7 @@ pub fn train(
 ) -> Result<AudioHmm> {
     if !settings.mixtures.is_power_of_two() {
         bail!(
+            Choice,
             "mixtures grow by splitting: {} components are not a power of two",
             settings.mixtures
         );
@@ -69,7 +70,11 @@ pub fn train(
     let phones = data::phones_said(clips.iter().copied());
     let utterances = Sounds::hear(folder, clips, &phones, aside, progress)?;
     if utterances.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let used = &utterances.clips;
     let labelled = used.iter().all(|c| !c.phones.is_empty());
@@ -84,7 +89,7 @@ pub fn train(
             let begun = Instant::now();
             let sums = em::expect_from(&parameters, &utterances, 0..utterances.len(), tolerance)?;
             if sums.frames == 0 {
-                bail!("no utterance fits its transcript: check the labels");
+                bail!(Data, "no utterance fits its transcript: check the labels");
             }
             if last.is_none() && parameters.audio.mean.dim().1 == 1 {
                 em::warnings(&parameters, &sums, &floors)
@@ -168,7 +173,7 @@ impl<'a> Sounds<'a> {
                     sounds.heard.push(audio.into_raw_vec_and_offset().0)?;
                     sounds.clips.push(clip);
                 }
-                Err(error) => progress.say(&format!("left out: {error:#}")),
+                Err(error) => progress.say(&format!("left out: {}", chain(&error))),
             }
             Ok(())
         })?;
@@ -191,7 +196,9 @@ impl Source for Sounds<'_> {
 
 /// The observations of a clip that can be used, `[frames, 39]`.
 fn hear(folder: &FeatureFolder, clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Array2<f32>> {
-    let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+    let samples = sound::read(&folder.wav_path(&clip.id))
+        .map_err(Error::other)?
+        .samples;
     let mut start_mean = [0.0; lipstream_core::N_STATIC];
     start_mean.copy_from_slice(&folder.manifest.start_mean);
     Ok(utterance(clip, observations(&samples, start_mean), index)?.audio)
@@ -199,10 +206,10 @@ fn hear(folder: &FeatureFolder, clip: &Clip, index: &dyn Fn(Phone) -> Option<usi
 
 fn utterance(clip: &Clip, audio: Array2<f32>, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Utterance> {
     let (Some(network), Some(silence)) = (data::network(clip, index), index(Phone::SIL)) else {
-        bail!("clip {}: it has no labels and no transcript", clip.id);
+        bail!(Data, "clip {}: it has no labels and no transcript", clip.id);
     };
     if network.shortest(N_EMITTING) > audio.nrows() {
-        bail!("clip {}: too short for its phones", clip.id);
+        bail!(Data, "clip {}: too short for its phones", clip.id);
     }
     let mut start = vec![(silence, N_EMITTING / 2); audio.nrows()];
     for label in data::timed_phones(clip) {
@@ -233,7 +240,9 @@ fn learn_shifts(folder: &FeatureFolder, clips: &[&Clip], hmm: &AudioHmm) -> Resu
     let borders: Vec<Vec<(usize, usize, f64)>> = clips
         .par_iter()
         .map(|clip| {
-            let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+            let samples = sound::read(&folder.wav_path(&clip.id))
+                .map_err(Error::other)?
+                .samples;
             let Ok(alignment) = aligner.phones(&samples, &clip.phones) else {
                 return Ok(Vec::new());
             };

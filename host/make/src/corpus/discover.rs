@@ -11,9 +11,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
-
 use super::labels;
+use crate::error::{Context as _, Result, bail};
 use crate::features::Split;
 
 /// Extensions of video files; their sound comes with them, or from a sound file beside them.
@@ -101,6 +100,7 @@ struct Group {
 pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Result<Found> {
     if !root.is_dir() {
         bail!(
+            Choice,
             "{} is no folder; give the folder of a corpus (clips as video or WAV, labels beside them)",
             root.display()
         );
@@ -112,6 +112,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
     let (groups, left_alone) = group(root, files)?;
     if groups.is_empty() {
         bail!(
+            Data,
             "{} holds no clips: looked for {} and {} files in it and the folders below",
             root.display(),
             VIDEO[..5].join(", "),
@@ -162,7 +163,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
 /// All files below `folder` but hidden ones.
 fn walk(folder: &Path, without: Option<&Path>, depth: usize, out: &mut Vec<PathBuf>) -> Result<()> {
     if depth > 32 {
-        bail!("{}: folders are nested too deep", folder.display());
+        bail!(Data, "{}: folders are nested too deep", folder.display());
     }
     let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     for entry in entries {
@@ -173,7 +174,7 @@ fn walk(folder: &Path, without: Option<&Path>, depth: usize, out: &mut Vec<PathB
         }
         // Follows links: corpora are often linked together.
         let Ok(meta) = std::fs::metadata(&path) else {
-            bail!("{}: a link that leads nowhere", path.display());
+            bail!(Data, "{}: a link that leads nowhere", path.display());
         };
         if meta.is_dir() {
             if without.is_some_and(|w| path.canonicalize().is_ok_and(|p| p == w)) {
@@ -220,6 +221,7 @@ fn group(root: &Path, files: Vec<PathBuf>) -> Result<(Vec<Group>, Vec<PathBuf>)>
         }
         if videos.len() > 1 {
             bail!(
+                Data,
                 "{} and {} would be the same clip: keep one",
                 videos[0].display(),
                 videos[1].display()
@@ -325,6 +327,7 @@ fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<S
             if !speakers.contains(name) {
                 let known: Vec<_> = speakers.iter().take(5).map(String::as_str).collect();
                 bail!(
+                    Choice,
                     "no speaker is called {name:?}; there are {} (and so on)",
                     known.join(", ")
                 );
@@ -335,7 +338,10 @@ fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<S
             .iter()
             .find(|s| options.val_speakers.contains(s))
         {
-            bail!("{both:?} cannot be a test speaker and a validation speaker at once");
+            bail!(
+                Choice,
+                "{both:?} cannot be a test speaker and a validation speaker at once"
+            );
         }
         for clip in clips.iter_mut() {
             clip.split = if options.test_speakers.contains(&clip.speaker) {

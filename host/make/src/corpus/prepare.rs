@@ -6,7 +6,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use rayon::prelude::*;
 
 use super::discover::{self, Found, Source};
@@ -15,6 +14,7 @@ use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
 use super::summary::{self, Summary};
 use super::visual;
+use crate::error::{Context as _, Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
 use lipstream::npy;
 use lipstream::progress::{Progress, Steps};
@@ -102,7 +102,7 @@ pub fn prepare(settings: &Settings, progress: &dyn Progress) -> Result<Summary> 
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
     let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
     if found.clips.iter().any(decodes) {
-        video::available()?;
+        video::available().map_err(Error::other)?;
     }
     claim(&settings.out, settings.fresh)?;
 
@@ -129,7 +129,7 @@ pub fn prepare(settings: &Settings, progress: &dyn Progress) -> Result<Summary> 
         .context("the manifest that was made is unsound")?;
     sweep(settings, &manifest)?;
     let text = serde_json::to_vec_pretty(&manifest)?;
-    files::write_bytes(&settings.out.join("manifest.json"), &text)?;
+    files::write_bytes(&settings.out.join("manifest.json"), &text).map_err(Error::other)?;
     let mut summary = summary::summarise(settings, &found, &clips, manifest);
     summary.seconds_taken = began.elapsed().as_secs_f64();
     Ok(summary)
@@ -144,6 +144,7 @@ fn claim(out: &Path, fresh: bool) -> Result<()> {
             .is_some();
         if occupied && !out.join("manifest.json").is_file() && !out.join("cache").is_dir() {
             bail!(
+                Choice,
                 "{} is not empty and no feature folder; give a new folder",
                 out.display()
             );
@@ -163,8 +164,8 @@ fn claim(out: &Path, fresh: bool) -> Result<()> {
 }
 
 /// One line of an error, for the manifest and the user's terminal.
-pub(super) fn reason(error: &anyhow::Error) -> String {
-    format!("{error:#}").lines().collect::<Vec<_>>().join("; ")
+pub(super) fn reason(error: &Error) -> String {
+    chain(error).lines().collect::<Vec<_>>().join("; ")
 }
 
 /// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
@@ -218,17 +219,18 @@ fn listen(
     }
     if clips.is_empty() {
         bail!(
+            Data,
             "none of the {} clips in {} can be read (the first: {})",
             found.clips.len(),
             settings.corpus.display(),
             skipped.first().map_or("", |s| s.reason.as_str())
         );
     }
-    let mean = train.mean().or(others.mean()).with_context(|| {
-        format!(
+    let mean = train.mean().or(others.mean()).ok_or_else(|| {
+        Error::Data(format!(
             "no speech is heard in the {} clips: all of them are silent or steady noise",
             clips.len()
-        )
+        ))
     })?;
     Ok((clips, mean))
 }
@@ -242,7 +244,7 @@ fn listen_to(
     let samples = sound(source, out, &sound_stamp)?;
     let seconds = samples.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
     if seconds < SHORTEST_S {
-        bail!("{seconds:.3} s of sound are too short");
+        bail!(Data, "{seconds:.3} s of sound are too short");
     }
     let mut labels = labels::read(&source.labels, seconds)?;
     let named_sentence = labels == Labels::default() && source.labels.is_empty();
@@ -302,16 +304,18 @@ fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let path = out.join("wav").join(format!("{}.wav", source.id));
     let notes = Notes::new(out, &source.id);
     if notes.vouched("sound", sound_stamp, &path).is_some() {
-        return Ok(sound::read(&path)?.samples);
+        return Ok(sound::read(&path).map_err(Error::other)?.samples);
     }
     notes.forget("sound");
     let from = source.sound_path();
     let samples = if is_read_here(from) {
-        sound::read(from)?.samples
+        sound::read(from).map_err(Error::other)?.samples
     } else {
-        sound::decode(&video::decode_sound(from)?)?.samples
+        sound::decode(&video::decode_sound(from).map_err(Error::other)?)
+            .map_err(Error::other)?
+            .samples
     };
-    sound::write(&path, &samples)?;
+    sound::write(&path, &samples).map_err(Error::other)?;
     notes.note("sound", sound_stamp)?;
     Ok(samples)
 }
@@ -339,7 +343,7 @@ fn observe(
         observe_one(prepared, out, &mean.concat(), normalisation)
             .with_context(|| format!("audio features of {}", prepared.source.sound_path().display()))?;
         steps.made();
-        Ok::<(), anyhow::Error>(())
+        Ok::<(), Error>(())
     })?;
     Ok(())
 }
@@ -353,8 +357,10 @@ fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Norma
         return Ok(());
     }
     notes.forget("audio");
-    let samples = sound::read(&out.join("wav").join(format!("{id}.wav")))?.samples;
-    npy::write_npy(&path, &reference::observations(&samples, normalisation))?;
+    let samples = sound::read(&out.join("wav").join(format!("{id}.wav")))
+        .map_err(Error::other)?
+        .samples;
+    npy::write_npy(&path, &reference::observations(&samples, normalisation)).map_err(Error::other)?;
     notes.note("audio", &stamp)
 }
 

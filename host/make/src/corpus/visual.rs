@@ -7,12 +7,12 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::OnceLock;
 
-use anyhow::{Context, Result, anyhow, bail};
 use ndarray::Array4;
 use rayon::prelude::*;
 
 use super::prepare::{Prepared, Settings, reason};
 use super::stamp::{self, Notes};
+use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{self, Skipped, Split};
 use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
 use lipstream::mouth::MouthSpace;
@@ -84,6 +84,7 @@ pub(super) fn see(
     *clips = kept;
     if clips.iter().all(|c| c.clip.video_frames == 0) {
         bail!(
+            Data,
             "no clip's pictures can be used (the last: {})",
             skipped.last().map_or("", |s| s.reason.as_str())
         );
@@ -180,11 +181,11 @@ impl Face<'_> {
     fn tracker(&self) -> Result<&Tracker> {
         let learn = || -> Result<Tracker> {
             let thinned = |path: &&Path| {
-                let frames = video::decode(path)?;
+                let frames = video::decode(path).map_err(Error::other)?;
                 Ok(frames.thinned((frames.len() / REFERENCE_PICTURES).max(1)))
             };
             let mut clips = Vec::new();
-            let mut trouble: Option<anyhow::Error> = None;
+            let mut trouble: Option<Error> = None;
             for decoded in self.reference.par_iter().map(thinned).collect::<Vec<_>>() {
                 match decoded {
                     Ok(frames) => clips.push(frames),
@@ -199,7 +200,7 @@ impl Face<'_> {
         self.tracker
             .get_or_init(|| learn().map_err(|e| reason(&e)))
             .as_ref()
-            .map_err(|e| anyhow!("the speaker's face cannot be learnt: {e}"))
+            .map_err(|e| Error::Data(format!("the speaker's face cannot be learnt: {e}")))
     }
 }
 
@@ -243,10 +244,11 @@ fn track_one(
     let notes = Notes::new(out, id);
     notes.forget("mouths");
     let tracker = face.tracker()?;
-    let frames = video::decode(from)?;
+    let frames = video::decode(from).map_err(Error::other)?;
     let pictures_s = frames.len() as f64 / f64::from(frames.rate_hz);
     if (pictures_s - prepared.seconds).abs() > LENGTHS_DIFFER_S {
         bail!(
+            Data,
             "its sound lasts {:.2} s, its pictures {pictures_s:.2} s",
             prepared.seconds
         );
@@ -266,7 +268,7 @@ fn track_one(
 
 fn write_mouths(path: &Path, images: &Array4<u8>) -> Result<()> {
     use ndarray_npy::WriteNpyExt;
-    files::write_whole(path, |file| Ok(images.write_npy(file)?))
+    files::write_whole(path, |file| Ok(images.write_npy(file)?)).map_err(Error::other)
 }
 
 /// Images brought to another size (width, height), bilinear, pixel centres on pixel centres.
@@ -333,7 +335,10 @@ fn eigenmouths(
     let path = settings.out.join("mouth.safetensors");
     let notes = Notes::new(&settings.out, "~mouth");
     if notes.vouched("space", &stamp, &path).is_some() {
-        return Ok((MouthSpace::load(&Tensors::read(&path)?)?, stamp));
+        return Ok((
+            MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?,
+            stamp,
+        ));
     }
     notes.forget("space");
     let steps = Steps::begin(progress, "eigenmouths", used.len() + 1);
@@ -346,9 +351,9 @@ fn eigenmouths(
             .add_clip(&track, keep)?;
         steps.made();
     }
-    let samples = samples.context("no clip has mouth images")?;
+    let samples = samples.ok_or_else(|| Error::Data("no clip has mouth images".into()))?;
     if samples.len() < 2 {
-        bail!("{} mouth image is too few for eigenmouths", samples.len());
+        bail!(Data, "{} mouth image is too few for eigenmouths", samples.len());
     }
     let size = settings.eigenmouths.min(samples.len() - 1);
     let (space, carried) = vision::eigenmouths(&samples, size)?;
@@ -362,7 +367,7 @@ fn eigenmouths(
     ));
     let mut tensors = TensorsBuilder::default();
     space.store(&mut tensors);
-    tensors.write(&path)?;
+    tensors.write(&path).map_err(Error::other)?;
     notes.note("space", &stamp)?;
     Ok((space, stamp))
 }
@@ -392,11 +397,11 @@ fn weigh(
             let weights = space
                 .project_clip(&bytes, !settings.keep_clip_mean)
                 .with_context(|| format!("clip {id}"))?;
-            npy::write_npy(&path, &weights)?;
+            npy::write_npy(&path, &weights).map_err(Error::other)?;
             notes.note("visual", &stamp)?;
         }
         steps.made();
-        Ok::<(), anyhow::Error>(())
+        Ok::<(), Error>(())
     })?;
     Ok(())
 }

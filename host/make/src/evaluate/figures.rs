@@ -1,9 +1,9 @@
 //! The figures of a report: X&L's 7, 10 and 11 on one's own data, and the curves that they did not draw.
-use anyhow::Result;
 
 use super::bootstrap::Interval;
 use super::plot::{self, Line, Look, Panel};
 use super::report::{ClipConvergence, Convergence, Report, Trajectory};
+use crate::error::Result;
 use crate::noise::Kind;
 
 /// A figure with its legend.

@@ -7,13 +7,13 @@
 //! the lag before it is read off.
 use std::borrow::Cow;
 
-use anyhow::{Result, ensure};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
 use super::candidate::{Candidate, Heard, Prediction};
 use super::models;
 use crate::em::source::{Source, Utterance};
+use crate::error::{Error, Result, ensure};
 use crate::features::{FeatureFolder, Split};
 use crate::train::data::Clips;
 use crate::train::{self, maps};
@@ -124,8 +124,12 @@ fn by_means<'a>(name: String, system: System, model: &Model, wait: Wait) -> Cand
     Candidate::new(name, Some(10 * wait.frames as u32), move |heard: &Heard| {
         let observations = wait.heard(&heard.observations);
         let parameters = match system.speech {
-            Speech::Viterbi => inverter.best_path_within(&observations, settings.acoustic_scale, wait.lag)?,
-            _ => inverter.convert_within(&observations, &settings, wait.lag)?,
+            Speech::Viterbi => inverter
+                .best_path_within(&observations, settings.acoustic_scale, wait.lag)
+                .map_err(Error::other)?,
+            _ => inverter
+                .convert_within(&observations, &settings, wait.lag)
+                .map_err(Error::other)?,
         };
         Ok(Prediction {
             parameters: wait.said(parameters),
@@ -167,6 +171,7 @@ impl<'a> Refit<'a> {
         };
         ensure!(
             !new.train.is_empty() && !new.judges.is_empty(),
+            Data,
             "{} has no training or no validation clips with video to fit maps on",
             folder.root.display()
         );
@@ -198,7 +203,8 @@ impl<'a> Refit<'a> {
             Some(10 * wait.frames as u32),
             move |heard: &Heard| {
                 let observations = wait.heard(&heard.observations);
-                let (said, _) = apply_maps(&follower, &model, &observations, Lag::Frames(wait.lag))?;
+                let (said, _) = apply_maps(&follower, &model, &observations, Lag::Frames(wait.lag))
+                    .map_err(Error::other)?;
                 Ok(Prediction {
                     parameters: wait.said(said),
                     visemes: None,

@@ -1,7 +1,6 @@
 //! The measuring: every candidate on every clip, whole, in noise, and from cold starts.
 use std::collections::HashSet;
 
-use anyhow::{Result, bail, ensure};
 use lipstream_core::{N_STATIC, SAMPLE_RATE_HZ};
 use ndarray::{Array2, s};
 use rayon::prelude::*;
@@ -15,6 +14,7 @@ use super::report::{
     Report, Settings, System, Trajectory,
 };
 use super::{Truth, changes, cold, truths};
+use crate::error::{Error, Result, bail, chain, ensure};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::noise;
 use lipstream::progress::Progress;
@@ -57,14 +57,20 @@ pub fn measure(
     check_names(candidates, settings)?;
     let truths = truths(folder, split)?;
     if truths.is_empty() {
-        bail!("{} has no clip with video in this split", folder.root.display());
+        bail!(
+            Data,
+            "{} has no clip with video in this split",
+            folder.root.display()
+        );
     }
     let heard: Vec<Heard> = truths
         .par_iter()
         .map(|truth| {
             Ok(Heard {
                 id: &truth.clip.id,
-                samples: sound::read(&folder.wav_path(&truth.clip.id))?.samples,
+                samples: sound::read(&folder.wav_path(&truth.clip.id))
+                    .map_err(Error::other)?
+                    .samples,
                 observations: truth.audio.clone(),
             })
         })
@@ -83,7 +89,7 @@ pub fn measure(
     let gaps = match bench.gaps() {
         Ok(gaps) => Some(gaps),
         Err(error) => {
-            notes.push(format!("Closure was not measured: {error:#}."));
+            notes.push(format!("Closure was not measured: {}.", chain(&error)));
             None
         }
     };
@@ -143,6 +149,7 @@ fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
     for candidate in candidates {
         ensure!(
             names.insert(candidate.name.as_str()),
+            Choice,
             "two systems are called {:?}",
             candidate.name
         );
@@ -150,6 +157,7 @@ fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
     for name in settings.noise.iter().flat_map(|noise| &noise.systems) {
         ensure!(
             names.contains(name.as_str()),
+            Choice,
             "no system is called {name:?}, which is to hear noise"
         );
     }
@@ -162,7 +170,10 @@ fn reference(candidates: &[Candidate], settings: &Settings) -> Result<Option<usi
     match &settings.reference {
         Some(name) => match called(name) {
             Some(place) => Ok(Some(place)),
-            None => bail!("no system is called {name:?}, with which the others are to be compared"),
+            None => bail!(
+                Choice,
+                "no system is called {name:?}, with which the others are to be compared"
+            ),
         },
         None => Ok(called("ph-vi-chmm").or_else(|| {
             candidates
@@ -327,12 +338,20 @@ impl<'a> Bench<'a> {
         let folder = settings.babble.as_ref().unwrap_or(self.folder);
         ensure!(
             folder.split(Split::Train).next().is_some(),
+            Data,
             "{} has no training clip that could babble",
             folder.root.display()
         );
         let voices: Vec<(String, Vec<i16>)> = folder
             .split(Split::Train)
-            .map(|clip| Ok((clip.id.clone(), sound::read(&folder.wav_path(&clip.id))?.samples)))
+            .map(|clip| {
+                Ok((
+                    clip.id.clone(),
+                    sound::read(&folder.wav_path(&clip.id))
+                        .map_err(Error::other)?
+                        .samples,
+                ))
+            })
             .collect::<Result<_>>()?;
         let mut out = Vec::new();
         for kind in [noise::Kind::White, noise::Kind::Babble] {

@@ -18,10 +18,10 @@ pub mod systems;
 pub mod tables;
 mod write;
 
-use anyhow::Result;
 use ndarray::Array2;
 use rayon::prelude::*;
 
+use crate::error::Result;
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::train::data;
 pub use candidate::{Candidate, Heard, Iteration, Prediction};

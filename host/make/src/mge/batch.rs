@@ -1,5 +1,5 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
-use anyhow::Result;
+use crate::error::Result;
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayBase, Data, Ix2, s};
 use rand::seq::SliceRandom;

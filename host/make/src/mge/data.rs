@@ -1,7 +1,6 @@
 //! Clips as minimum generation error training sees them: statics, mouth, forced alignment.
 use std::path::Path;
 
-use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
@@ -10,6 +9,7 @@ use super::settings::Settings;
 use super::store::Store;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::em::{Aligner, Parameters as HmmParameters};
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use crate::noise;
 use crate::train::data::{Clips, Observed};
@@ -59,6 +59,7 @@ pub fn read(
 ) -> Result<Data> {
     if folder.manifest.visual_size != twin.visual_size() {
         bail!(
+            Choice,
             "{} holds {} mouth parameters, the model that training starts from speaks {}",
             folder.root.display(),
             folder.manifest.visual_size,
@@ -69,7 +70,11 @@ pub fn read(
     let mut validation = Clips::new(folder, Split::Val, &twin.phones, progress).readable(false, progress);
     validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let (mut sound, mut mouth) = (Deviations::default(), Deviations::default());
     in_order(
@@ -190,7 +195,11 @@ fn voices(folder: &FeatureFolder) -> Result<Vec<Vec<i16>>> {
     let every = clips.len().div_ceil(VOICES).max(1);
     let chosen = clips.into_iter().step_by(every);
     chosen
-        .map(|clip| Ok(sound::read(&folder.wav_path(&clip.id))?.samples))
+        .map(|clip| {
+            Ok(sound::read(&folder.wav_path(&clip.id))
+                .map_err(Error::other)?
+                .samples)
+        })
         .collect()
 }
 
@@ -208,7 +217,9 @@ fn disturbed(
     }
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
     let start_mean: [f32; N_STATIC] = std::array::from_fn(|d| folder.manifest.start_mean[d]);
-    let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+    let samples = sound::read(&folder.wav_path(&clip.id))
+        .map_err(Error::other)?
+        .samples;
     let mut rng = noise::generator(seed, &clip.id, "disturbed");
     let variants = (0..variants).map(|_| {
         let disturbance = Disturbance::draw(clip.audio.nrows(), &mut rng);

@@ -1,10 +1,10 @@
 //! How good a set of parameters is on clips that it was not trained on.
-use anyhow::Result;
 use ndarray::Array2;
 
 use super::pass::{Masks, Tape};
 use super::store::Store;
 use crate::em::source::in_order;
+use crate::error::Result;
 use crate::evaluate::metrics::Score;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::recurrent::chain::Chain;

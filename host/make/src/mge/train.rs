@@ -10,7 +10,6 @@
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
 use ndarray::Array2;
 
 use super::batch::Trainer;
@@ -21,6 +20,7 @@ use super::optimise::{Optimiser, Rule};
 use super::settings::Settings;
 use super::start::{Seen, start};
 use crate::em::source::in_order;
+use crate::error::{Error, Result, bail};
 use crate::features::FeatureFolder;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS};
@@ -39,7 +39,7 @@ pub fn train(
     progress: &dyn Progress,
 ) -> Result<MgeModel> {
     settings.check()?;
-    check_twin(twin)?;
+    check_twin(twin).map_err(Error::other)?;
     progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
     let data = data::read(folder, audio_only, twin, settings, aside, progress)?;
@@ -128,6 +128,7 @@ pub fn train_on(
         };
         let Some(moved) = moved else {
             bail!(
+                Numbers,
                 "training diverged at step {} of {steps} (loss {}): lower the learning rate, now {}",
                 step + 1,
                 share.error,
@@ -241,6 +242,7 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
     let amse = seen.iter().map(|s| s.score.amse()).sum::<f64>() / seen.len() as f64;
     if !amse.is_finite() {
         bail!(
+            Numbers,
             "training diverged in pass {pass}: lower the learning rate, now {}",
             trainer.settings.rule.rate
         );

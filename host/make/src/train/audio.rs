@@ -1,12 +1,12 @@
 //! The second stage (X&L section 3.4): the audio densities on many speakers, and what phones that the video lacks are
 //! given: their sound from the other speakers, their look from their viseme.
-use anyhow::Result;
 use ndarray::{Array3, Axis};
 
 use super::Settings;
 use super::data::{Clips, Observed};
 use super::em::{Aligned, Coupled, passes, split_audio};
 use crate::em::{Parameters, Start};
+use crate::error::Result;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::Density;

@@ -2,7 +2,6 @@
 //! when their turn comes.
 use std::borrow::Cow;
 
-use anyhow::{Context as _, Result, bail};
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use rand::SeedableRng;
@@ -10,6 +9,7 @@ use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::network::PhoneNetwork;
@@ -81,7 +81,7 @@ fn start_labels(
     index: &dyn Fn(Phone) -> Option<usize>,
 ) -> Result<Vec<(usize, usize)>> {
     let Some(silence) = index(Phone::SIL) else {
-        bail!("the model has no phone for silence")
+        bail!(Data, "the model has no phone for silence")
     };
     let mut out = vec![(silence, N_EMITTING / 2); frames];
     for label in labels {
@@ -119,12 +119,14 @@ pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Op
 fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
     let Some(network) = network(clip, index) else {
         bail!(
+            Data,
             "clip {}: its transcript holds a phone that the model does not have, or none at all",
             clip.id
         )
     };
     if network.shortest(N_EMITTING) > clip.audio_frames {
         bail!(
+            Data,
             "clip {}: {} frames are too few for its phones",
             clip.id,
             clip.audio_frames
@@ -186,7 +188,7 @@ impl<'a> Clips<'a> {
         let try_one = |n: usize| {
             let utterance = self.get(n);
             Ok(utterance.and_then(|u| match with_video && u.visual.is_none() {
-                true => bail!("clip {}: it has no video", u.id),
+                true => bail!(Data, "clip {}: it has no video", u.id),
                 false => Ok(()),
             }))
         };
@@ -202,7 +204,7 @@ impl<'a> Clips<'a> {
     fn leave_out(&mut self, fit: Vec<Result<()>>, progress: &dyn Progress) {
         let before = self.len();
         for error in fit.iter().filter_map(|f| f.as_ref().err()) {
-            progress.say(&format!("left out: {error:#}"));
+            progress.say(&format!("left out: {}", chain(error)));
         }
         self.keep(&fit.iter().map(Result::is_ok).collect::<Vec<_>>());
         if self.len() < before {
@@ -302,7 +304,7 @@ impl Source for Clips<'_> {
 pub(super) fn stacked(apart: Utterance) -> Result<Utterance> {
     let visual = apart
         .visual
-        .with_context(|| format!("clip {} has no video", apart.id))?;
+        .ok_or_else(|| Error::Data(format!("clip {} has no video", apart.id)))?;
     let audio: Array2<f32> = concatenate(Axis(1), &[apart.audio.view(), visual.view()])?;
     Ok(Utterance {
         audio: audio.as_standard_layout().into_owned(),

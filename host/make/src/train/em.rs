@@ -2,7 +2,6 @@
 //! clips grow likelier.
 use std::time::Instant;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::{Array3, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -14,6 +13,7 @@ use super::state::State;
 use crate::em::density::{self, Floors};
 use crate::em::source::{Source, in_order};
 use crate::em::{self, Aligner, Parameters};
+use crate::error::{Error, Result, bail};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::{Density, System};
@@ -72,6 +72,7 @@ pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Resu
     let parameters = state.parameters.clone();
     if parameters.phones != phones {
         bail!(
+            Choice,
             "the state is over {} phones, the clips say {}: start it with the same folders",
             parameters.phones.len(),
             phones.len()
@@ -85,7 +86,10 @@ pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Resu
     let clips = train.observed(observed);
     let first = clips.get(0)?;
     if have != (first.audio.ncols(), first.visual.as_ref().map(|v| v.ncols())) {
-        bail!("the state is of other features: start it with the same folders");
+        bail!(
+            Choice,
+            "the state is of other features: start it with the same folders"
+        );
     }
     finish(parameters, train, observed)
 }
@@ -224,7 +228,7 @@ pub(super) fn passes(
         let begun = Instant::now();
         let sums = em::expect(parameters, clips)?;
         if sums.frames == 0 {
-            bail!("no utterance fits its transcript: check the labels");
+            bail!(Data, "no utterance fits its transcript: check the labels");
         }
         if !sums.failed.is_empty() {
             progress.say(&format!(
@@ -248,5 +252,5 @@ pub(super) fn passes(
         ));
         last = Some(sums);
     }
-    last.context("at least one pass was made")
+    last.ok_or_else(|| Error::Choice("at least one pass was made".into()))
 }

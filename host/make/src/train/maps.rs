@@ -1,11 +1,11 @@
 //! The last stage: how the HMM is to be followed, and what it says. Local linear maps (DESIGN section 6) under the
 //! occupancies that conversion will see, and the exponents of conversion by means (X&L section 4).
-use anyhow::{Context as _, Result};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
 use super::Settings;
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result};
 use crate::evaluate::metrics::Score;
 use crate::train::local_linear::{ContextSums, MapSums};
 use lipstream::hmm::Hmm;
@@ -18,7 +18,7 @@ use lipstream::progress::Progress;
 fn visual(u: &Utterance) -> Result<&Array2<f32>> {
     u.visual
         .as_ref()
-        .with_context(|| format!("clip {} has no video", u.id))
+        .ok_or_else(|| Error::Data(format!("clip {} has no video", u.id)))
 }
 
 /// Clips whose sums are added up before they join the others.
@@ -57,7 +57,7 @@ pub(crate) fn maps(
             let mut sums = new_sums();
             for n in CHUNK * chunk..(CHUNK * (chunk + 1)).min(train.len()) {
                 let u = train.get(n)?;
-                sums.add(&project(&u), visual(&u)?, &occupancy(&u)?);
+                sums.add(&project(&u), visual(&u)?, &occupancy(&u).map_err(Error::other)?);
             }
             Ok(sums)
         };
@@ -72,7 +72,7 @@ pub(crate) fn maps(
         let mut scores = vec![Score::new(size); fitted.len()];
         let said = |n: usize| {
             let u = judges.get(n)?;
-            let (x, occupancy) = (project(&u), occupancy(&u)?);
+            let (x, occupancy) = (project(&u), occupancy(&u).map_err(Error::other)?);
             let said = fitted
                 .iter()
                 .map(|maps| smooth(&local_linear::apply(maps, &x, &occupancy)));
@@ -100,7 +100,8 @@ pub(crate) fn maps(
             }
         }
     }
-    let (_, following, maps) = best.context("no acoustic scale or penalty to choose from")?;
+    let (_, following, maps) =
+        best.ok_or_else(|| Error::Choice("no acoustic scale or penalty to choose from".into()))?;
     Ok((following, context, maps))
 }
 
@@ -129,7 +130,7 @@ pub(super) fn conversion(
         let mut scores = vec![Score::new(size); MOST_ITERATIONS + 1];
         let estimates = |n: usize| {
             let u = judges.get(n)?;
-            let estimates = inverter.iterations(&u.audio, &with)?;
+            let estimates = inverter.iterations(&u.audio, &with).map_err(Error::other)?;
             Ok((visual(&u)?.clone(), estimates))
         };
         in_order(judges.len(), estimates, |(truth, estimates)| {

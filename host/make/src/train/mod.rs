@@ -11,13 +11,13 @@ pub mod shards;
 pub mod state;
 pub mod sums;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::Array1;
 
 use self::data::{Clips, Observed};
 use self::resume::Resume;
 use self::state::State;
 use crate::em::source::Source;
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::System;
@@ -85,13 +85,17 @@ pub fn train(
 ) -> Result<Model> {
     if folder.manifest.visual_size == 0 {
         bail!(
+            Data,
             "{} has no video: a mouth cannot be learnt from sound alone",
             folder.root.display()
         );
     }
     for count in [settings.audio_mixtures, settings.visual_mixtures] {
         if !count.is_power_of_two() {
-            bail!("mixtures grow by splitting: {count} components are not a power of two");
+            bail!(
+                Choice,
+                "mixtures grow by splitting: {count} components are not a power of two"
+            );
         }
     }
     let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
@@ -103,7 +107,11 @@ pub fn train(
     }
     let validation = with_video(Split::Val);
     if train.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let mut heard = Clips::none(&phones).observed(Observed::Sound);
     for folder in audio_only {
@@ -121,7 +129,12 @@ pub fn train(
     ));
     let mut coupled = match &settings.state {
         Some(state) if state.system == system => em::from_state(state, &train, &phones)?,
-        Some(state) => bail!("the state is of {}, not of {}", state.system.name, system.name),
+        Some(state) => bail!(
+            Choice,
+            "the state is of {}, not of {}",
+            state.system.name,
+            system.name
+        ),
         None => em::coupled(&train, &validation, &phones, system, settings, progress)?,
     };
     let seen = audio::seen(&train, phones.len());
@@ -137,7 +150,9 @@ pub fn train(
             audio::retrain(&parameters, &seen, system.density, all, settings, progress)?
         }
     };
-    let visual = parameters.visual.context("joint EM left no visual densities")?;
+    let visual = parameters
+        .visual
+        .ok_or_else(|| Error::Numbers("joint EM left no visual densities".into()))?;
     let hmm = Hmm {
         topology: system.topology,
         density: system.density,
@@ -156,7 +171,9 @@ pub fn train(
     let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, progress)?;
     let conversion = maps::conversion(&hmm, judges, settings, progress)?;
     let mouth = match folder.mouth_path() {
-        path if path.exists() => Some(MouthSpace::load(&Tensors::read(&path)?)?),
+        path if path.exists() => {
+            Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
+        }
         _ => None,
     };
     let provenance = format!(

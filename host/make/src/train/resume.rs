@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use anyhow::{Context as _, Result};
-
 use super::state::{put_parameters, take_parameters};
 use super::sums::{self, Origin};
 use crate::em::{Parameters, Sums};
+use crate::error::{Context as _, Error, Result};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 use lipstream_media::files;
 
@@ -48,7 +47,7 @@ impl Resume {
                 std::fs::remove_dir_all(&folder)
                     .with_context(|| format!("cannot remove {}", folder.display()))?;
             }
-            files::write_bytes(&note, run.as_bytes())?;
+            files::write_bytes(&note, run.as_bytes()).map_err(Error::other)?;
         }
         Ok(Self(Some(Arc::new(Kept {
             folder,
@@ -117,7 +116,7 @@ impl Stage<'_> {
         sums::write(&sums_path, &origin, sums)?;
         let mut out = TensorsBuilder::default();
         put_parameters(&mut out, parameters);
-        out.write(&state)?;
+        out.write(&state).map_err(Error::other)?;
         if pass > 1 {
             let (state, sums) = kept.paths(self.number, pass - 1);
             for old in [state, sums] {

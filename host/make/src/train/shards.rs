@@ -2,7 +2,6 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
 use lipstream_core::model::field::checksum;
 
 use super::data::{self, Clips};
@@ -12,6 +11,7 @@ use super::sums::{self, Origin};
 use crate::em::density::{self, Accumulator};
 use crate::em::source::Source;
 use crate::em::{self, Sums};
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::System;
@@ -38,6 +38,7 @@ pub fn start(
 ) -> Result<State> {
     if folder.manifest.visual_size == 0 {
         bail!(
+            Data,
             "{} has no video: a mouth cannot be learnt from sound alone",
             folder.root.display()
         );
@@ -46,7 +47,11 @@ pub fn start(
     let phones = data::phones_said(folders.flat_map(|f| f.split(Split::Train)));
     let clips = clips(folder, system, &phones, progress);
     if clips.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let (parameters, audio_floors, visual_floors) = em::start(&clips, system.topology, &phones)?;
     Ok(State {
@@ -85,7 +90,9 @@ pub fn accumulate(
 
 /// Says which corpus it is.
 pub fn corpus(folder: &FeatureFolder) -> Result<u32> {
-    Ok(checksum(&files::read_bytes(&folder.root.join("manifest.json"))?))
+    Ok(checksum(
+        &files::read_bytes(&folder.root.join("manifest.json")).map_err(Error::other)?,
+    ))
 }
 
 /// [`accumulate`] from files to a file; returns the sums as well.
@@ -97,7 +104,10 @@ pub fn accumulate_files(
     progress: &dyn Progress,
 ) -> Result<Sums> {
     if shard == 0 || shard > of {
-        bail!("there is no shard {shard} of {of}: they go from 1 to {of}");
+        bail!(
+            Choice,
+            "there is no shard {shard} of {of}: they go from 1 to {of}"
+        );
     }
     let (state, checksum) = State::read(state)?;
     let sums = accumulate(folder, &state, (shard, of), progress)?;
@@ -129,10 +139,10 @@ pub fn merge(state: &Path, sums: &[PathBuf], split: Option<Splitting>) -> Result
         _ => false,
     };
     if !visual_fits || !fits(&state.parameters.audio, &sums.audio) {
-        bail!("the sums do not fit the state");
+        bail!(Choice, "the sums do not fit the state");
     }
     if sums.frames == 0 {
-        bail!("no utterance fits its transcript: check the labels");
+        bail!(Data, "no utterance fits its transcript: check the labels");
     }
     let parameters = &mut state.parameters;
     em::maximise(

@@ -3,7 +3,6 @@
 //! The rigid upper face (brows, eyes, bridge of the nose) is registered in every picture to a template that all clips of a
 //! speaker share; the mouth itself is never used. The mouth image is then a fixed rectangle of the template's coordinates,
 //! sampled through the registration.
-use anyhow::{Result, bail};
 
 use super::affine::Affine;
 use super::colour::{self, ChannelMap};
@@ -11,6 +10,7 @@ use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
+use crate::error::{Result, bail};
 use lipstream_media::video::Frames;
 
 /// A registration below this correlation with the template has lost the face.
@@ -214,6 +214,7 @@ pub(crate) fn follow(
     let lost = found.iter().filter(|f| f.is_none()).count();
     if lost as f32 > MOST_LOST * view.len() as f32 {
         bail!(
+            Data,
             "the face is lost in {lost} of {} pictures (turned away, covered, or another person)",
             view.len()
         );

@@ -6,11 +6,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::OnceLock;
 
-use anyhow::{Context, Result, anyhow, bail};
 use phonetik::dict::CmuDict;
 
 use super::labels::SpokenWord;
 use super::phoneset;
+use crate::error::{Context as _, Error, Result, bail};
 use crate::features::Word;
 use lipstream::phones::Phone;
 use lipstream_media::files;
@@ -52,7 +52,7 @@ impl Pronouncer {
     pub fn new(user: Option<&Path>) -> Result<Self> {
         let user = match user {
             Some(path) => {
-                let text = super::labels::decode(&files::read_bytes(path)?)
+                let text = super::labels::decode(&files::read_bytes(path).map_err(Error::other)?)
                     .with_context(|| format!("dictionary {}", path.display()))?;
                 read_dictionary(&text).with_context(|| format!("dictionary {}", path.display()))?
             }
@@ -60,7 +60,10 @@ impl Pronouncer {
         };
         let cmu = CMU.get_or_init(CmuDict::load);
         if cmu.lookup("the").is_none() {
-            bail!("the embedded CMUdict is empty: this program was not built properly");
+            bail!(
+                File,
+                "the embedded CMUdict is empty: this program was not built properly"
+            );
         }
         Ok(Self { cmu, user })
     }
@@ -86,7 +89,10 @@ impl Pronouncer {
         }
         match self.spelled(text) {
             phones if phones.is_empty() => {
-                bail!("nothing tells how {text:?} is pronounced: add it to a file for --dictionary")
+                bail!(
+                    Data,
+                    "nothing tells how {text:?} is pronounced: add it to a file for --dictionary"
+                )
             }
             phones => Ok((finish(vec![phones]), Source::Letters)),
         }
@@ -322,7 +328,7 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
         }
         let (entry, phones) = line
             .split_once(char::is_whitespace)
-            .ok_or_else(|| anyhow!("line {}: {line:?} has no phones", number + 1))?;
+            .ok_or_else(|| Error::Data(format!("line {}: {line:?} has no phones", number + 1)))?;
         let word = match entry.split_once('(') {
             Some((word, rest)) if !word.is_empty() && rest.ends_with(')') => word,
             _ => entry,
@@ -332,7 +338,12 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
             .map(|p| {
                 phoneset::phone(p)
                     .filter(|p| *p != Phone::SIL && *p != Phone::SP)
-                    .ok_or_else(|| anyhow!("line {}: {p:?} is no phone of CMU's or X&L's set", number + 1))
+                    .ok_or_else(|| {
+                        Error::Data(format!(
+                            "line {}: {p:?} is no phone of CMU's or X&L's set",
+                            number + 1
+                        ))
+                    })
             })
             .collect::<Result<_>>()?;
         let entries = words.entry(word.to_lowercase()).or_default();
@@ -347,6 +358,7 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
 mod tests {
     use super::*;
     use crate::corpus::labels::transcript;
+    use crate::error::chain;
 
     fn say(pronouncer: &Pronouncer, text: &str) -> (Vec<String>, Source) {
         let words = transcript::words(text);
@@ -482,7 +494,7 @@ mod tests {
             (vec!["l ih p s t r iy m z".into()], Source::Inflected)
         );
         for bad in ["word\n", "word AH0 QQ\n", "word sil\n"] {
-            let error = format!("{:#}", read_dictionary(bad).unwrap_err());
+            let error = chain(&read_dictionary(bad).unwrap_err());
             assert!(error.contains("line 1") && !error.contains('\n'), "{error}");
         }
         assert!(Pronouncer::new(Some(&folder.path().join("none"))).is_err());
