@@ -79,7 +79,7 @@ fn features(root: &Path) -> FeatureFolder {
         std::fs::write(path("txt"), words.join(" ")).unwrap();
         std::fs::write(path("phn"), phn(&begins, samples.len())).unwrap();
     }
-    let settings = corpus::Settings {
+    let settings = corpus::PrepareSettings {
         corpus: root.join("corpus"),
         out: root.join("features"),
         clips: corpus::discover::Options {
@@ -105,7 +105,7 @@ fn borders_are_found_where_they_were_made() {
     let scratch = tempfile::tempdir().unwrap();
     let root = scratch.path();
     let folder = features(root);
-    let settings = train::Settings {
+    let settings = train::AudioHmmSettings {
         mixtures: 2,
         ..Default::default()
     };
@@ -174,7 +174,7 @@ fn what_cannot_be_aligned_is_said() {
     let scratch = tempfile::tempdir().unwrap();
     let root = scratch.path();
     let folder = features(root);
-    let settings = train::Settings {
+    let settings = train::AudioHmmSettings {
         mixtures: 1,
         iterations: 1,
         ..Default::default()

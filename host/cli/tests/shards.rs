@@ -12,7 +12,7 @@ use lipstream_make::em::{self, Sums};
 use lipstream_make::features::{FeatureFolder, Split};
 use lipstream_make::train::shards::{self, Splitting};
 use lipstream_make::train::state::State;
-use lipstream_make::train::{Settings, train};
+use lipstream_make::train::{TrainSettings, train};
 use ndarray::{Array, Dimension};
 
 #[path = "../../make/tests/talker/mod.rs"]
@@ -313,12 +313,12 @@ fn poor_data_are_warned_about_and_give_numbers() {
     )
     .unwrap();
     let said = Mutex::new(Vec::new());
-    let settings = Settings {
+    let settings = TrainSettings {
         audio_mixtures: 2,
         iterations: 3,
         acoustic_scales: vec![0.2],
         penalties: vec![10.0],
-        ..Settings::default()
+        ..TrainSettings::default()
     };
     let model = train(&folder, &[], &settings, &|line: &str| {
         said.lock().unwrap().push(line.to_owned())

@@ -20,7 +20,7 @@ use lipstream_core::parameters::ParameterFrame;
 use lipstream_make::mge::data::{Clip, Data};
 use lipstream_make::mge::judge::{centred, judge};
 use lipstream_make::mge::pass::{Masks, Tape};
-use lipstream_make::mge::settings::Settings;
+use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::store::Store;
 use lipstream_make::mge::train::train_on;
 use ndarray::Array2;
@@ -91,20 +91,20 @@ fn every(clips: &Store) -> impl Iterator<Item = Clip> {
     (0..clips.len()).map(|n| clips.get(n).unwrap())
 }
 
-fn small() -> Settings {
-    let mut settings = Settings {
+fn small() -> MgeTrainSettings {
+    let mut settings = MgeTrainSettings {
         inputs: 16,
         memory: 12,
         passes: 8,
         batch: 6,
         crop: 40,
-        ..Settings::default()
+        ..MgeTrainSettings::default()
     };
     settings.rule.rate = 0.02;
     settings
 }
 
-fn quietly(data: &Data, twin: &Model, settings: &Settings, checkpoint: Option<&Path>) -> MgeModel {
+fn quietly(data: &Data, twin: &Model, settings: &MgeTrainSettings, checkpoint: Option<&Path>) -> MgeModel {
     train_on(data, twin, settings, checkpoint, &()).unwrap()
 }
 
@@ -113,7 +113,7 @@ fn a_made_up_talker_is_learnt() {
     let twin = twin();
     let data = data(&twin);
     for feedback in [Feedback::Output, Feedback::None] {
-        let settings = Settings { feedback, ..small() };
+        let settings = MgeTrainSettings { feedback, ..small() };
         let model = quietly(&data, &twin, &settings, None);
         let seen = judge(
             &model.parameters,
@@ -143,7 +143,7 @@ fn threads_do_not_change_a_byte() {
     let scratch = tempfile::tempdir().unwrap();
     let twin = twin();
     let data = data(&twin);
-    let settings = Settings { passes: 2, ..small() };
+    let settings = MgeTrainSettings { passes: 2, ..small() };
     let bytes = |threads: usize| {
         let path = scratch.path().join(format!("{threads}.safetensors"));
         let pool = rayon::ThreadPoolBuilder::new()
@@ -169,7 +169,7 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
     );
     let twin = twin();
     let data = data(&twin);
-    let settings = Settings { passes: 4, ..small() };
+    let settings = MgeTrainSettings { passes: 4, ..small() };
     let whole = train_on(&data, &twin, &settings, Some(&checkpoint), &|line: &str| {
         // What a run that is killed in its third pass leaves behind.
         if line.starts_with("pass 3/") {
@@ -188,7 +188,7 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
     assert!(went_on.into_inner());
     assert!(whole == again);
 
-    let other = Settings { seed: 2, ..settings };
+    let other = MgeTrainSettings { seed: 2, ..settings };
     let error = train_on(&data, &twin, &other, Some(&checkpoint), &()).unwrap_err();
     assert!(error.to_string().contains("other settings"), "{error:#}");
 }
@@ -218,7 +218,7 @@ fn streamed_frame_by_frame_as_in_batches() {
         (Feedback::Memory, Gate::Audio, Gate::Audio),
         (Feedback::None, Gate::Visual, Gate::Visual),
     ] {
-        let settings = Settings {
+        let settings = MgeTrainSettings {
             feedback,
             maps,
             rates,
@@ -258,7 +258,7 @@ fn a_file_gives_the_model_back() {
     let path = scratch.path().join("m.safetensors");
     let twin = twin();
     let data = data(&twin);
-    let model = quietly(&data, &twin, &Settings { passes: 1, ..small() }, None);
+    let model = quietly(&data, &twin, &MgeTrainSettings { passes: 1, ..small() }, None);
     model.write(&path).unwrap();
     let back = MgeModel::read(&path).unwrap();
     assert!(back.twin == model.twin);
@@ -332,7 +332,7 @@ fn fixed_point_follows_the_floats() {
         (Feedback::Output, Gate::Audio, Gate::Audio),
         (Feedback::None, Gate::Visual, Gate::Visual),
     ] {
-        let settings = Settings {
+        let settings = MgeTrainSettings {
             feedback,
             maps,
             rates,

@@ -5,13 +5,13 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Lag, convert};
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::features::{FeatureFolder, Split};
-use lipstream_make::train::{Settings, data, train};
+use lipstream_make::train::{TrainSettings, data, train};
 mod talker;
 
 use talker::made_up_talker;
 
-fn small() -> Settings {
-    Settings {
+fn small() -> TrainSettings {
+    TrainSettings {
         audio_mixtures: 2,
         visual_mixtures: 1,
         iterations: 3,
@@ -19,7 +19,7 @@ fn small() -> Settings {
         context: 6,
         acoustic_scales: vec![0.2],
         penalties: vec![10.0],
-        ..Settings::default()
+        ..TrainSettings::default()
     }
 }
 
@@ -78,7 +78,7 @@ fn a_made_up_talker_is_learnt_and_again_the_same() {
 fn what_cannot_be_trained_is_said() {
     let scratch = tempfile::tempdir().unwrap();
     let mut folder = made_up_talker(scratch.path(), 12);
-    let odd = Settings {
+    let odd = TrainSettings {
         audio_mixtures: 3,
         ..small()
     };

@@ -15,6 +15,7 @@ pub mod npy;
 pub mod parameters;
 pub mod phones;
 pub mod progress;
+pub mod random;
 pub mod reference;
 pub mod render;
 pub mod shipped;

@@ -6,9 +6,8 @@ use common::tables::{hear_out, seal, section};
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::MgeModel;
-use lipstream::kinds::recurrent::parameters::{
-    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
-};
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
+use lipstream::random::fill_normal;
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::logmath::LogProb;
 use lipstream_core::model::Model as Tables;

@@ -10,7 +10,8 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::MgeModel;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
-    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, look_ahead, models, systems,
+    self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
+    systems,
 };
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train;
@@ -110,7 +111,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .iter()
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>, _>>()?;
-            let training = train::Settings::default();
+            let training = train::TrainSettings::default();
             systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
         }
     };
@@ -169,7 +170,7 @@ fn read(path: &Path) -> Result<(Model, Option<MgeModel>)> {
     Ok((Model::read(path)?, None))
 }
 
-fn settings(args: &Args, full: bool) -> Result<Settings> {
+fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
     let wants_noise = full || args.noise || !args.noise_system.is_empty() || args.babble.is_some();
     let noise = wants_noise.then(|| -> Result<NoiseSettings> {
         Ok(NoiseSettings {
@@ -178,7 +179,7 @@ fn settings(args: &Args, full: bool) -> Result<Settings> {
             ..NoiseSettings::default()
         })
     });
-    Ok(Settings {
+    Ok(EvaluateSettings {
         resamples: args.resamples as usize,
         seed: args.seed,
         reference: args.against.clone(),

@@ -6,7 +6,7 @@ use anyhow::Result;
 use crate::progress::Terminal;
 use lipstream_make::corpus::discover::Options;
 use lipstream_make::corpus::summary::SplitSummary;
-use lipstream_make::corpus::{self, Settings, Summary};
+use lipstream_make::corpus::{self, PrepareSettings, Summary};
 
 /// Turn video, sound and labels into features and eigenmouths
 ///
@@ -55,7 +55,7 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let settings = Settings {
+    let settings = PrepareSettings {
         corpus: args.corpus,
         out: args.output,
         clips: Options {

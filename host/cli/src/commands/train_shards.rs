@@ -7,7 +7,7 @@ use super::train::system;
 use crate::progress::Terminal;
 use lipstream::hmm::system::System;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train::Settings;
+use lipstream_make::train::TrainSettings;
 use lipstream_make::train::shards::{self, Splitting};
 
 /// EM in pieces.
@@ -27,7 +27,7 @@ pub(crate) struct Start {
     #[arg(long, value_name = "DIR")]
     audio: Vec<PathBuf>,
     /// System to train
-    #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
+    #[arg(long, default_value = TrainSettings::default().system.name, value_parser = system)]
     system: System,
     /// State to write
     #[arg(short, long, value_name = "STATE")]
@@ -66,10 +66,10 @@ pub(crate) struct Merge {
     #[arg(long)]
     split: bool,
     /// Most Gaussians per audio state when splitting
-    #[arg(long, default_value_t = Settings::default().audio_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().audio_mixtures)]
     audio_mixtures: usize,
     /// Most Gaussians per visual state when splitting
-    #[arg(long, default_value_t = Settings::default().visual_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().visual_mixtures)]
     visual_mixtures: usize,
 }
 

@@ -26,7 +26,7 @@ use lipstream_media::sound;
 
 /// Choices of a training run.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct AudioHmmSettings {
     /// Gaussians per state, a power of two.
     pub mixtures: usize,
     /// EM passes after the start and after every split.
@@ -37,7 +37,7 @@ pub struct Settings {
     pub without: Vec<String>,
 }
 
-impl Default for Settings {
+impl Default for AudioHmmSettings {
     fn default() -> Self {
         Self {
             mixtures: 4,
@@ -52,7 +52,7 @@ impl Default for Settings {
 /// memory.
 pub fn train(
     folder: &FeatureFolder,
-    settings: &Settings,
+    settings: &AudioHmmSettings,
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<AudioHmm> {

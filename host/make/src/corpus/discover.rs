@@ -38,7 +38,7 @@ pub struct Options {
 
 /// The files of one clip.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Source {
+pub struct ClipFiles {
     /// Unique, safe as a file name: the stem, or the path where stems repeat.
     pub id: String,
     pub speaker: String,
@@ -51,7 +51,7 @@ pub struct Source {
     pub stem: String,
 }
 
-impl Source {
+impl ClipFiles {
     /// The file that the sound comes from.
     pub fn sound_path(&self) -> &Path {
         self.sound
@@ -65,7 +65,7 @@ impl Source {
 #[derive(Clone, Debug, Default)]
 pub struct Found {
     /// Sorted by id.
-    pub clips: Vec<Source>,
+    pub clips: Vec<ClipFiles>,
     /// Files that belong to no clip.
     pub left_alone: Vec<PathBuf>,
     /// Whether the split came from folders or options; else it was drawn by speaker or by clip.
@@ -125,7 +125,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
         .ok()
         .and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
         .unwrap_or_else(|| "corpus".into());
-    let mut clips: Vec<Source> = groups
+    let mut clips: Vec<ClipFiles> = groups
         .into_iter()
         .zip(ids)
         .map(|(group, id)| {
@@ -139,7 +139,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
                 .iter()
                 .find_map(|e| group.sounds.iter().find(|p| extension(p).as_deref() == Some(e)))
                 .cloned();
-            Source {
+            ClipFiles {
                 id,
                 speaker,
                 split: group.split.unwrap_or(Split::Train),
@@ -316,7 +316,7 @@ fn percentile(name: &str) -> u32 {
 /// Settles every clip's split. Without folders and options: by speaker where there are at least five, by clip
 /// where there are at least ten of fewer speakers, else everything is for training. Speakers or clips are put in
 /// the order of a hash of their names; the first tenth (at least one) is for the test, the next for validation.
-fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<SplitBy> {
+fn deal(clips: &mut [ClipFiles], from_folders: bool, options: &Options) -> Result<SplitBy> {
     if options.all_train {
         clips.iter_mut().for_each(|c| c.split = Split::Train);
         return Ok(SplitBy::AllTrain);

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 
-use super::discover::{self, Found, Source};
+use super::discover::{self, ClipFiles, Found};
 use super::labels::{self, Labels, SpokenWord, transcript};
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
@@ -30,7 +30,7 @@ const CLIPS_PER_THREAD: usize = 4;
 
 /// What to prepare and how.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct PrepareSettings {
     pub corpus: PathBuf,
     pub out: PathBuf,
     pub clips: discover::Options,
@@ -46,7 +46,7 @@ pub struct Settings {
     pub fresh: bool,
 }
 
-impl Default for Settings {
+impl Default for PrepareSettings {
     fn default() -> Self {
         Self {
             corpus: PathBuf::new(),
@@ -63,9 +63,9 @@ impl Default for Settings {
 
 /// A clip on its way: its manifest entry and where its pronunciations came from.
 pub(super) struct Prepared {
-    pub(super) source: Source,
+    pub(super) source: ClipFiles,
     pub(super) clip: Clip,
-    pub(super) words: BTreeMap<String, pronounce::Source>,
+    pub(super) words: BTreeMap<String, pronounce::Origin>,
     pub(super) named_sentence: bool,
     pub(super) seconds: f64,
     sound_stamp: String,
@@ -74,7 +74,7 @@ pub(super) struct Prepared {
 #[cfg(test)]
 impl Prepared {
     /// A clip with nothing but its files and its length.
-    pub(super) fn bare(source: Source, seconds: f64) -> Self {
+    pub(super) fn bare(source: ClipFiles, seconds: f64) -> Self {
         Self {
             clip: Clip {
                 id: source.id.clone(),
@@ -96,11 +96,12 @@ impl Prepared {
 }
 
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
-pub fn prepare(settings: &Settings, progress: &dyn Progress) -> Result<Summary> {
+pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
-    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
+    let decodes =
+        |c: &ClipFiles| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
     if found.clips.iter().any(decodes) {
         video::available().map_err(Error::other)?;
     }
@@ -171,7 +172,7 @@ pub(super) fn reason(error: &Error) -> String {
 /// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
 fn listen(
     found: &Found,
-    settings: &Settings,
+    settings: &PrepareSettings,
     pronouncer: &Pronouncer,
     progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
@@ -236,7 +237,7 @@ fn listen(
 }
 
 fn listen_to(
-    source: &Source,
+    source: &ClipFiles,
     out: &Path,
     pronouncer: &Pronouncer,
 ) -> Result<(Prepared, ndarray::Array2<f64>)> {
@@ -292,7 +293,7 @@ fn listen_to(
 fn spoken(
     word: &SpokenWord,
     pronouncer: &Pronouncer,
-    from: &mut BTreeMap<String, pronounce::Source>,
+    from: &mut BTreeMap<String, pronounce::Origin>,
 ) -> Result<Word> {
     let (spoken, source) = pronouncer.spoken(word)?;
     from.insert(word.text.clone(), source);
@@ -300,7 +301,7 @@ fn spoken(
 }
 
 /// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.
-fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
+fn sound(source: &ClipFiles, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let path = out.join("wav").join(format!("{}.wav", source.id));
     let notes = Notes::new(out, &source.id);
     if notes.vouched("sound", sound_stamp, &path).is_some() {
@@ -365,7 +366,7 @@ fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Norma
 }
 
 /// Removes what earlier runs made for clips that are no longer there.
-fn sweep(settings: &Settings, manifest: &Manifest) -> Result<()> {
+fn sweep(settings: &PrepareSettings, manifest: &Manifest) -> Result<()> {
     let out = settings.out.as_path();
     let ids: BTreeSet<&str> = manifest.clips.iter().map(|c| c.id.as_str()).collect();
     let seen: BTreeSet<&str> = manifest

@@ -10,7 +10,7 @@ use std::sync::OnceLock;
 use ndarray::Array4;
 use rayon::prelude::*;
 
-use super::prepare::{Prepared, Settings, reason};
+use super::prepare::{PrepareSettings, Prepared, reason};
 use super::stamp::{self, Notes};
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{self, Skipped, Split};
@@ -51,7 +51,7 @@ struct Face<'a> {
 /// Returns the number of eigenmouths, 0 when no clip has video.
 pub(super) fn see(
     clips: &mut Vec<Prepared>,
-    settings: &Settings,
+    settings: &PrepareSettings,
     progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<usize> {
@@ -307,7 +307,7 @@ fn as_track(images: Array4<u8>, rate_hz: f32) -> MouthTrack {
 fn eigenmouths(
     clips: &[Prepared],
     stamps: &[Stamp],
-    settings: &Settings,
+    settings: &PrepareSettings,
     progress: &dyn Progress,
 ) -> Result<(MouthSpace, Stamp)> {
     let seen: Vec<usize> = (0..clips.len())
@@ -378,7 +378,7 @@ fn weigh(
     stamps: &[Stamp],
     space: &MouthSpace,
     space_stamp: &str,
-    settings: &Settings,
+    settings: &PrepareSettings,
     progress: &dyn Progress,
 ) -> Result<()> {
     let seen: Vec<usize> = (0..clips.len())
@@ -409,7 +409,7 @@ fn weigh(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::corpus::discover::Source;
+    use crate::corpus::discover::ClipFiles;
     use lipstream::npy::read_npy;
 
     /// 20 pictures of 8 × 6: three patterns in changing amounts, on a ground that differs from clip to clip.
@@ -427,16 +427,16 @@ mod tests {
     #[test]
     fn weights_keep_the_distances_between_the_images_of_a_clip() {
         let folder = tempfile::tempdir().unwrap();
-        let settings = Settings {
+        let settings = PrepareSettings {
             out: folder.path().join("out"),
             eigenmouths: 5,
-            ..Settings::default()
+            ..PrepareSettings::default()
         };
         let mut clips: Vec<Prepared> = (0..3)
             .map(|i| {
                 let video = folder.path().join(format!("c{i}.mpg"));
                 std::fs::write(&video, b"already tracked").unwrap();
-                let source = Source {
+                let source = ClipFiles {
                     id: format!("c{i}"),
                     speaker: "s".into(),
                     split: if i == 2 { Split::Test } else { Split::Train },

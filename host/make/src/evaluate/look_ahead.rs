@@ -187,11 +187,11 @@ impl<'a> Refit<'a> {
     ) -> Result<Candidate<'b>> {
         let cut = |clips| Cut { clips, wait };
         let last = wait.frames as i32 - i32::from(wait.average);
-        let settings = train::Settings {
+        let settings = train::TrainSettings {
             taps: (-30..=last).step_by(2).collect(),
             lag: wait.lag,
             acoustic_scales: vec![model.following.acoustic_scale],
-            ..train::Settings::default()
+            ..train::TrainSettings::default()
         };
         let hmm = Hmm::of_model(&model);
         let (following, context, fitted) =

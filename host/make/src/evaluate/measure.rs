@@ -10,8 +10,8 @@ use super::candidate::{Candidate, Heard};
 use super::closure::{self, Closure, Gaps, TrueGap};
 use super::metrics::Score;
 use super::report::{
-    Against, ClipConvergence, ColdStarts, Convergence, Curve, NoiseCondition, NoiseRow, Point, Predicted,
-    Report, Settings, System, Trajectory,
+    Against, ClipConvergence, ColdStarts, Convergence, Curve, EvaluateSettings, NoiseCondition, NoiseRow,
+    Point, Predicted, Report, System, Trajectory,
 };
 use super::{Truth, changes, cold, truths};
 use crate::error::{Error, Result, bail, chain, ensure};
@@ -41,7 +41,7 @@ struct Bench<'a> {
     truths: &'a [Truth<'a>],
     heard: &'a [Heard<'a>],
     draws: Draws,
-    settings: &'a Settings,
+    settings: &'a EvaluateSettings,
     start_mean: [f32; N_STATIC],
     progress: &'a dyn Progress,
 }
@@ -51,7 +51,7 @@ pub fn measure(
     folder: &FeatureFolder,
     split: Split,
     candidates: &[Candidate],
-    settings: &Settings,
+    settings: &EvaluateSettings,
     progress: &dyn Progress,
 ) -> Result<Report> {
     check_names(candidates, settings)?;
@@ -144,7 +144,7 @@ pub fn measure(
     })
 }
 
-fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
+fn check_names(candidates: &[Candidate], settings: &EvaluateSettings) -> Result<()> {
     let mut names = HashSet::new();
     for candidate in candidates {
         ensure!(
@@ -165,7 +165,7 @@ fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
 }
 
 /// Place of the candidate that the others are compared with.
-fn reference(candidates: &[Candidate], settings: &Settings) -> Result<Option<usize>> {
+fn reference(candidates: &[Candidate], settings: &EvaluateSettings) -> Result<Option<usize>> {
     let called = |name: &str| candidates.iter().position(|c| c.name == name);
     match &settings.reference {
         Some(name) => match called(name) {

@@ -26,7 +26,7 @@ use crate::features::{Clip, FeatureFolder, Split};
 use crate::train::data;
 pub use candidate::{Candidate, Heard, Iteration, Prediction};
 pub use measure::measure;
-pub use report::{NoiseSettings, Report, Settings};
+pub use report::{EvaluateSettings, NoiseSettings, Report};
 pub use write::{Destination, Heading, html, json, markdown};
 
 /// A clip with its mouth at the audio's rate.

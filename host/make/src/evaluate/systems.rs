@@ -7,7 +7,7 @@ use super::candidate::{Candidate, Heard, Iteration, Prediction};
 use super::models::local_linear;
 use crate::error::{Context as _, Error, Result, bail, ensure};
 use crate::features::FeatureFolder;
-use crate::train::{self, Settings};
+use crate::train::{self, TrainSettings};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::{SYSTEMS, Speech, System};
 use lipstream::kinds::likelihood::convert::{Lag, smooth, viseme_weights};
@@ -42,7 +42,7 @@ pub fn open_or_train(
     store: &Path,
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<Model>> {
     std::fs::create_dir_all(store).with_context(|| format!("cannot create {}", store.display()))?;
@@ -65,7 +65,7 @@ pub fn open_or_train(
             );
             model
         } else {
-            let settings = Settings {
+            let settings = TrainSettings {
                 system: hmm,
                 ..settings.clone()
             };

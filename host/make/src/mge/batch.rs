@@ -10,12 +10,13 @@ use rayon::prelude::*;
 use super::data;
 use super::judge::centred;
 use super::pass::{Entropy, Masks, Tape, cross_entropy};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::store::Store;
 use lipstream::kinds::recurrent::chain::Chain;
 use lipstream::kinds::recurrent::model::LEAST;
-use lipstream::kinds::recurrent::parameters::{Parameters, normal};
+use lipstream::kinds::recurrent::parameters::Parameters;
 use lipstream::kinds::recurrent::step::Net;
+use lipstream::random::normal;
 
 /// One clip's part of a batch.
 pub(super) struct Share {
@@ -25,7 +26,7 @@ pub(super) struct Share {
 }
 
 pub(super) struct Trainer<'a> {
-    pub(super) settings: &'a Settings,
+    pub(super) settings: &'a MgeTrainSettings,
     pub(super) data: &'a data::Data,
     pub(super) chain: Chain,
     pub(super) context_mean: Vec<f32>,

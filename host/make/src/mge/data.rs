@@ -5,7 +5,7 @@ use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
 use super::disturb::{Disturbance, Variant};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::store::Store;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::em::{Aligner, Parameters as HmmParameters};
@@ -53,7 +53,7 @@ pub fn read(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
     twin: &Model,
-    settings: &Settings,
+    settings: &MgeTrainSettings,
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
@@ -132,7 +132,7 @@ pub fn read(
 /// The last clips are held out before any are drawn: who is validated on does not depend on `settings.clips`. Without a
 /// hold-out the clips that stay are those that likelihood training with the same seed has drawn, so that the alignment
 /// comes from a model that has seen them.
-fn hold_out_and_draw<'a>(train: &mut Clips<'a>, settings: &Settings) -> Clips<'a> {
+fn hold_out_and_draw<'a>(train: &mut Clips<'a>, settings: &MgeTrainSettings) -> Clips<'a> {
     let held = train.split_off(train.len().saturating_sub(settings.hold_out));
     if let Some(clips) = settings.clips {
         train.draw(clips, settings.seed);
@@ -303,11 +303,11 @@ mod tests {
         let ids = |clips: &Clips| clips.ids().map(str::to_owned).collect::<Vec<_>>();
         let choose = |clips, seed, hold_out| {
             let mut train = all();
-            let settings = Settings {
+            let settings = MgeTrainSettings {
                 clips,
                 seed,
                 hold_out,
-                ..Settings::default()
+                ..MgeTrainSettings::default()
             };
             let held = hold_out_and_draw(&mut train, &settings);
             (ids(&train), ids(&held))

@@ -51,7 +51,8 @@ pub fn rounded(model: &MgeModel, bits: u32) -> MgeModel {
 mod tests {
     use super::*;
     use lipstream::kinds::recurrent::context::Context;
-    use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Parameters, Shape, fill_normal};
+    use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Parameters, Shape};
+    use lipstream::random::fill_normal;
     use lipstream::synthetic::{self, Sizes};
     use rand::SeedableRng;
     use rand_pcg::Pcg64;

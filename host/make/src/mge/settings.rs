@@ -8,7 +8,7 @@ use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
 
 /// Choices of a training run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct MgeTrainSettings {
     pub context: Context,
     pub inputs: usize,
     pub memory: usize,
@@ -52,7 +52,7 @@ pub struct Settings {
     pub hold_out: usize,
 }
 
-impl Default for Settings {
+impl Default for MgeTrainSettings {
     fn default() -> Self {
         Self {
             context: Context::default(),
@@ -87,7 +87,7 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl MgeTrainSettings {
     /// Refuses in words what cannot be trained with.
     pub fn check(&self) -> Result<()> {
         self.context.check().map_err(Error::other)?;

@@ -7,8 +7,9 @@ use rand_pcg::Pcg64;
 
 use crate::em::source::in_order;
 use crate::error::{Error, Result, bail};
-use lipstream::kinds::recurrent::parameters::{Group, Parameters, Shape, fill_normal};
+use lipstream::kinds::recurrent::parameters::{Group, Parameters, Shape};
 use lipstream::kinds::recurrent::step::rate_group;
+use lipstream::random::fill_normal;
 
 /// One clip for the start: contexts `[T, C]`, states of the alignment, mouth `[T, D]` (standardised) if it has one.
 pub struct Seen {
@@ -20,7 +21,7 @@ pub struct Seen {
 /// How many clips there are, and what reads one.
 pub type Clips<'a> = (usize, &'a (dyn Fn(usize) -> Result<Seen> + Sync));
 
-/// Settings of the start.
+/// MgeTrainSettings of the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartSettings {
     /// Factor on the linear discriminants that become emissions.

@@ -17,7 +17,7 @@ use super::checkpoint::{self, Best};
 use super::data::{self, Clip, Data};
 use super::judge::{Judgement, judge};
 use super::optimise::{Optimiser, Rule};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::start::{Seen, start};
 use crate::em::source::in_order;
 use crate::error::{Error, Result, bail};
@@ -34,7 +34,7 @@ pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
     twin: &Model,
-    settings: &Settings,
+    settings: &MgeTrainSettings,
     checkpoint: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<MgeModel> {
@@ -56,7 +56,7 @@ pub fn train(
 pub fn train_on(
     data: &Data,
     twin: &Model,
-    settings: &Settings,
+    settings: &MgeTrainSettings,
     checkpoint_path: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<MgeModel> {
@@ -191,7 +191,12 @@ pub fn train_on(
     })
 }
 
-fn begin(shape: &Shape, data: &Data, twin: &Model, settings: &Settings) -> Result<(Parameters, Vec<f32>)> {
+fn begin(
+    shape: &Shape,
+    data: &Data,
+    twin: &Model,
+    settings: &MgeTrainSettings,
+) -> Result<(Parameters, Vec<f32>)> {
     let seen = |n: usize| {
         let own = data.train.len();
         let clip = match n < own {
@@ -286,7 +291,7 @@ fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Result<Ju
 }
 
 /// A number that settings and data share with no other run (FNV-1a).
-fn fingerprint(settings: &Settings, data: &Data) -> Result<u64> {
+fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut eat = |bytes: &[u8]| {
         for b in bytes {

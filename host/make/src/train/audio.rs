@@ -2,7 +2,7 @@
 //! given: their sound from the other speakers, their look from their viseme.
 use ndarray::{Array3, Axis};
 
-use super::Settings;
+use super::TrainSettings;
 use super::data::{Clips, Observed};
 use super::em::{Aligned, Coupled, passes, split_audio};
 use crate::em::{Parameters, Start};
@@ -109,7 +109,7 @@ pub(super) fn retrain(
     seen: &[bool],
     density: Density,
     (start, all): (Start, Clips),
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Mixtures> {
     let (mut parameters, floors, _) = start.finish();

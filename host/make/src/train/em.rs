@@ -6,7 +6,7 @@ use ndarray::{Array3, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
-use super::Settings;
+use super::TrainSettings;
 use super::bigram::{self, Said};
 use super::data::{Clips, Observed, stacked};
 use super::state::State;
@@ -50,7 +50,7 @@ pub(super) fn coupled(
     validation: &Clips,
     phones: &[Phone],
     system: System,
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Coupled> {
     let observed = observed(system);
@@ -161,7 +161,7 @@ fn grow(
     validation: &Clips,
     phones: &[Phone],
     system: System,
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Parameters> {
     let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
@@ -213,7 +213,7 @@ pub(super) fn passes(
     clips: &Clips,
     audio: &Floors,
     visual: Option<&Floors>,
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<em::Sums> {
     let n = settings.iterations.max(1);

@@ -3,7 +3,7 @@
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
-use super::Settings;
+use super::TrainSettings;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::error::{Error, Result};
 use crate::evaluate::metrics::Score;
@@ -30,7 +30,7 @@ pub(crate) fn maps(
     hmm: &Hmm,
     train: &impl Source,
     judges: &impl Source,
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<(Following, ContextMap, LocalLinear)> {
     let statics = |u: &Utterance| u.audio.slice(s![.., ..N_STATIC]).to_owned();
@@ -114,7 +114,7 @@ const MOST_ITERATIONS: usize = 5;
 pub(super) fn conversion(
     hmm: &Hmm,
     judges: &impl Source,
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<EmSettings> {
     let inverter = Inverter::new(*hmm);

@@ -28,7 +28,7 @@ use lipstream::tensors::Tensors;
 
 /// Choices of a training run.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct TrainSettings {
     pub system: System,
     /// Most components per audio state (or joint state), a power of two.
     pub audio_mixtures: usize,
@@ -56,7 +56,7 @@ pub struct Settings {
     pub state: Option<State>,
 }
 
-impl Default for Settings {
+impl Default for TrainSettings {
     fn default() -> Self {
         Self {
             system: System::LOCAL_LINEAR,
@@ -80,7 +80,7 @@ impl Default for Settings {
 pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    settings: &Settings,
+    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Model> {
     if folder.manifest.visual_size == 0 {

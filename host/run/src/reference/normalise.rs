@@ -48,7 +48,7 @@ pub enum Normalisation {
 
 /// Decides frame by frame which frames are speech.
 #[derive(Clone, Debug, Default)]
-pub struct Gate {
+pub struct SpeechGate {
     /// None before the first frame.
     levels: Option<Levels>,
 }
@@ -61,7 +61,7 @@ struct Levels {
     stir: f64,
 }
 
-impl Gate {
+impl SpeechGate {
     /// Takes the next frame's E; true when the frame is speech.
     pub fn next(&mut self, energy: f64) -> bool {
         let e = energy.max(QUIET);
@@ -87,7 +87,7 @@ impl Gate {
 
 /// Raw statics less the mean in force at each frame, `[frames, 13]`. Frame t's mean knows frames ≤ t only.
 pub fn causal(raw: ArrayView2<f64>, start_mean: &[f32; N_STATIC]) -> Array2<f64> {
-    let mut gate = Gate::default();
+    let mut gate = SpeechGate::default();
     let mut mean = start_mean.map(f64::from);
     let mut out = raw.to_owned();
     for mut row in out.axis_iter_mut(Axis(0)) {
@@ -113,7 +113,7 @@ pub struct SpeechMean {
 impl SpeechMean {
     /// Adds a clip's raw statics, `[frames, 13]`; the gate starts anew with every clip.
     pub fn add(&mut self, raw: ArrayView2<f64>) {
-        let mut gate = Gate::default();
+        let mut gate = SpeechGate::default();
         for row in raw.axis_iter(Axis(0)) {
             if gate.next(row[N_STATIC - 1]) {
                 self.frames += 1;
