@@ -7,7 +7,7 @@ use super::choices;
 use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
     self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
@@ -161,10 +161,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// A model trained by likelihood; or one trained on its error, after the twin that it came from.
-fn read(path: &Path) -> Result<(Model, Option<MgeModel>)> {
-    if MgeModel::is_kind(&Tensors::read(path)?) {
-        let trained = MgeModel::read(path)?;
+/// A model trained by likelihood; or one trained on its error, after the parent that it came from.
+fn read(path: &Path) -> Result<(Model, Option<RecurrentModel>)> {
+    if RecurrentModel::is_kind(&Tensors::read(path)?) {
+        let trained = RecurrentModel::read(path)?;
         return Ok((trained.twin.clone(), Some(trained)));
     }
     Ok((Model::read(path)?, None))

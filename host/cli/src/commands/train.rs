@@ -137,11 +137,11 @@ fn whole(args: Args) -> Result<()> {
     match args.method {
         Method::Likelihood => by_likelihood()?.write(output)?,
         Method::Mge => {
-            let twin = match &args.mge.from {
+            let parent = match &args.mge.from {
                 Some(path) => Model::read(path)?,
                 None => by_likelihood()?,
             };
-            train_mge::run(&args.mge, &folder, &heard, &twin, args.clips, args.seed, output)?;
+            train_mge::run(&args.mge, &folder, &heard, &parent, args.clips, args.seed, output)?;
         }
     }
     settings.resume.finish()?;

@@ -124,12 +124,12 @@ impl Args {
     }
 }
 
-/// Trains from `twin` and writes `output`; the checkpoint lies beside it while training lasts.
+/// Trains from `parent` and writes `output`; the checkpoint lies beside it while training lasts.
 pub(crate) fn run(
     args: &Args,
     folder: &FeatureFolder,
     heard: &[FeatureFolder],
-    twin: &Model,
+    parent: &Model,
     clips: Option<usize>,
     seed: u64,
     output: &Path,
@@ -149,7 +149,7 @@ pub(crate) fn run(
     }
     let settings = args.settings(clips, seed);
     let progress = Terminal::default();
-    let model = train(folder, heard, twin, &settings, Some(&checkpoint), &progress)?;
+    let model = train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?;
     model.write(output)?;
     remove()
 }

@@ -11,7 +11,7 @@ use lipstream::hmm::joint::{N_EMITTING, choice};
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
 use lipstream::tensors::{Tensors, TensorsBuilder};
 
@@ -75,11 +75,11 @@ impl AudioHmm {
         })
     }
 
-    /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained twin.
+    /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained parent.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path).map_err(Error::other)?;
-        if MgeModel::is_kind(&tensors) {
-            return Self::of_model(&MgeModel::read(path).map_err(Error::other)?.twin);
+        if RecurrentModel::is_kind(&tensors) {
+            return Self::of_model(&RecurrentModel::read(path).map_err(Error::other)?.twin);
         }
         if tensors.noted::<String>("kind").map_err(Error::other)? != KIND {
             return Self::of_model(&Model::read(path).map_err(Error::other)?);

@@ -146,9 +146,9 @@ fn images(folder: &FeatureFolder, clip: &Clip) -> Result<Array4<u8>> {
 
 /// From at most [`IMAGES`] images, spread over the speaker's training clips (or over all that he has).
 fn learn_lips(folder: &FeatureFolder, speaker: &str) -> Result<Lips> {
-    let all: Vec<&Clip> = filmed(folder).filter(|c| c.speaker == speaker).collect();
-    let train: Vec<&Clip> = all.iter().copied().filter(|c| c.split == Split::Train).collect();
-    let clips = if train.is_empty() { all } else { train };
+    let own: Vec<&Clip> = filmed(folder).filter(|c| c.speaker == speaker).collect();
+    let train: Vec<&Clip> = own.iter().copied().filter(|c| c.split == Split::Train).collect();
+    let clips = if train.is_empty() { own } else { train };
     let each = 10.max(IMAGES.div_ceil(clips.len()));
     let step = clips.len().div_ceil(IMAGES / 10);
     let mut chosen: Vec<Array4<u8>> = Vec::new();

@@ -19,7 +19,7 @@ const SNIPPET: usize = 120;
 
 /// All figures for which there are numbers.
 pub fn figures(report: &Report) -> Result<Vec<Figure>> {
-    let all = [
+    let drawn = [
         scores(report)?,
         per_dimension(report)?,
         snippets(report)?,
@@ -29,7 +29,7 @@ pub fn figures(report: &Report) -> Result<Vec<Figure>> {
         look_ahead(report)?,
         noise(report)?,
     ];
-    Ok(all.into_iter().flatten().collect())
+    Ok(drawn.into_iter().flatten().collect())
 }
 
 /// A system's place in the first table decides how it looks everywhere.

@@ -22,7 +22,7 @@ use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Follower, Lag, apply_maps, smooth};
 use lipstream::kinds::likelihood::inversion::Inverter;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
 use lipstream::progress::Progress;
 
@@ -106,7 +106,7 @@ pub fn curves<'a>(
 }
 
 /// A model trained on its error at every look-ahead that it can be run at, unlisted: one model for all.
-pub fn of_mge<'a>(model: &'a MgeModel, family: &str) -> Vec<Candidate<'a>> {
+pub fn of_mge<'a>(model: &'a RecurrentModel, family: &str) -> Vec<Candidate<'a>> {
     let own = model.parameters.shape.context.look_ahead();
     let within = [2, 3, 4, 6].into_iter().filter(|ahead| *ahead < own);
     within

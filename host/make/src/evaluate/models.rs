@@ -13,7 +13,7 @@ use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Follower, Lag, convert_with};
 use lipstream::kinds::recurrent::live;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 
 /// Always the mean mouth.
 pub fn mean<'a>(size: usize) -> Candidate<'a> {
@@ -123,7 +123,7 @@ fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
 /// A model trained on the error of its mouth, streamed frame by frame in floats with `look_ahead` frames of future.
 pub(super) fn mge_float<'a>(
     name: impl Into<String>,
-    model: &'a MgeModel,
+    model: &'a RecurrentModel,
     look_ahead: usize,
 ) -> Candidate<'a> {
     Candidate::new(name, Some(10 * look_ahead as u32), move |heard: &Heard| {
@@ -139,7 +139,7 @@ pub(super) fn mge_float<'a>(
 /// profile.
 pub fn of_mge<'a>(
     folder: &FeatureFolder,
-    model: &'a MgeModel,
+    model: &'a RecurrentModel,
     beam_bits: Option<f64>,
 ) -> Result<Vec<Candidate<'a>>> {
     speaks_as_many(folder, model.deviation.len())?;

@@ -44,7 +44,7 @@ pub struct Data {
     pub deviation: Vec<f32>,
 }
 
-/// Reads folders and aligns them with the likelihood-trained model `twin`. The clips are then in a file in `aside`, or in
+/// Reads folders and aligns them with the likelihood-trained model `parent`. The clips are then in a file in `aside`, or in
 /// memory.
 ///
 /// `settings.clips` training clips with video are taken, drawn by the seed; the last `settings.hold_out` of all training
@@ -52,22 +52,22 @@ pub struct Data {
 pub fn read(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    twin: &Model,
+    parent: &Model,
     settings: &MgeTrainSettings,
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
-    if folder.manifest.visual_size != twin.visual_size() {
+    if folder.manifest.visual_size != parent.visual_size() {
         bail!(
             Choice,
             "{} holds {} mouth parameters, the model that training starts from speaks {}",
             folder.root.display(),
             folder.manifest.visual_size,
-            twin.visual_size()
+            parent.visual_size()
         );
     }
-    let mut train = Clips::new(folder, Split::Train, &twin.phones, progress).readable(true, progress);
-    let mut validation = Clips::new(folder, Split::Val, &twin.phones, progress).readable(false, progress);
+    let mut train = Clips::new(folder, Split::Train, &parent.phones, progress).readable(true, progress);
+    let mut validation = Clips::new(folder, Split::Val, &parent.phones, progress).readable(false, progress);
     validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
         bail!(
@@ -90,10 +90,10 @@ pub fn read(
     let deviation: Vec<f32> = mouth.deviations().collect();
     let hmm = HmmParameters {
         topology: Topology::PH_VI_CHMM,
-        phones: twin.phones.clone(),
-        audio: twin.audio.clone(),
-        visual: Some(twin.visual.clone()),
-        transition: twin.transition.clone(),
+        phones: parent.phones.clone(),
+        audio: parent.audio.clone(),
+        visual: Some(parent.visual.clone()),
+        transition: parent.transition.clone(),
     };
     let reader = Reader {
         aligner: Aligner::new(&hmm),
@@ -101,8 +101,8 @@ pub fn read(
             (0, _) => Vec::new(),
             (_, []) => voices(folder)?,
             (_, others) => {
-                let all: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
-                all.concat()
+                let voices: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
+                voices.concat()
             }
         },
         scale: &scale,
@@ -119,7 +119,7 @@ pub fn read(
     };
     reader.read(folder, &train, settings.variants, &mut data.train)?;
     for other in audio_only {
-        let clips = Clips::new(other, Split::Train, &twin.phones, progress).observed(Observed::Sound);
+        let clips = Clips::new(other, Split::Train, &parent.phones, progress).observed(Observed::Sound);
         let clips = clips.readable(false, progress);
         reader.read(other, &clips, settings.variants, &mut data.heard)?;
     }

@@ -24,44 +24,44 @@ use crate::error::{Error, Result, bail};
 use crate::features::FeatureFolder;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS};
-use lipstream::kinds::recurrent::model::{LEAST, MgeModel, check_twin};
+use lipstream::kinds::recurrent::model::{LEAST, RecurrentModel, check_parent};
 use lipstream::kinds::recurrent::parameters::{Parameters, Shape};
 use lipstream::progress::Progress;
 
-/// Trains, beginning at the likelihood-trained `twin`. `checkpoint` is where an interrupted run left off and will
+/// Trains, beginning at the likelihood-trained `parent`. `checkpoint` is where an interrupted run left off and will
 /// leave off.
 pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    twin: &Model,
+    parent: &Model,
     settings: &MgeTrainSettings,
     checkpoint: Option<&Path>,
     progress: &dyn Progress,
-) -> Result<MgeModel> {
+) -> Result<RecurrentModel> {
     settings.check()?;
-    check_twin(twin).map_err(Error::other)?;
+    check_parent(parent).map_err(Error::other)?;
     progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
-    let data = data::read(folder, audio_only, twin, settings, aside, progress)?;
+    let data = data::read(folder, audio_only, parent, settings, aside, progress)?;
     progress.say(&format!(
         "{} clips with video, {} with sound only, {} to validate on",
         data.train.len(),
         data.heard.len(),
         data.validation.len()
     ));
-    train_on(&data, twin, settings, checkpoint, progress)
+    train_on(&data, parent, settings, checkpoint, progress)
 }
 
 /// [`train`] on data that has been read.
 pub fn train_on(
     data: &Data,
-    twin: &Model,
+    parent: &Model,
     settings: &MgeTrainSettings,
     checkpoint_path: Option<&Path>,
     progress: &dyn Progress,
-) -> Result<MgeModel> {
+) -> Result<RecurrentModel> {
     let shape = Shape {
-        phones: twin.phones.len(),
+        phones: parent.phones.len(),
         context: settings.context.clone(),
         inputs: settings.inputs,
         memory: settings.memory,
@@ -79,7 +79,7 @@ pub fn train_on(
     let mut trainer = Trainer {
         settings,
         data,
-        chain: Chain::new(&twin.phones, &twin.transition, &twin.bigram),
+        chain: Chain::new(&parent.phones, &parent.transition, &parent.bigram),
         context_mean: Vec::new(),
         weights: powers.iter().map(|p| p / sum).collect(),
     };
@@ -101,7 +101,7 @@ pub fn train_on(
             (optimiser, best)
         }
         None => {
-            let (parameters, mean) = begin(&shape, data, twin, settings)?;
+            let (parameters, mean) = begin(&shape, data, parent, settings)?;
             trainer.context_mean = mean;
             let best = Best {
                 error: f64::INFINITY,
@@ -164,8 +164,8 @@ pub fn train_on(
             Some(judged(&trainer, &best.parameters, ahead)?.score.amse())
         }
     };
-    Ok(MgeModel {
-        twin: twin.clone(),
+    Ok(RecurrentModel {
+        twin: parent.clone(),
         parameters: best.parameters,
         validation_amse,
         context_mean: trainer.context_mean,
@@ -186,7 +186,7 @@ pub fn train_on(
                 .join(", "),
             settings.passes,
             settings.seed,
-            twin.provenance
+            parent.provenance
         ),
     })
 }
@@ -194,7 +194,7 @@ pub fn train_on(
 fn begin(
     shape: &Shape,
     data: &Data,
-    twin: &Model,
+    parent: &Model,
     settings: &MgeTrainSettings,
 ) -> Result<(Parameters, Vec<f32>)> {
     let seen = |n: usize| {
@@ -211,13 +211,13 @@ fn begin(
     };
     let transition = Array2::from_shape_vec(
         (shape.phones, ROWS),
-        twin.transition.iter().copied().collect::<Vec<f32>>(),
+        parent.transition.iter().copied().collect::<Vec<f32>>(),
     )?;
     let (parameters, mean) = start(
         shape,
         &(data.train.len() + data.heard.len(), &seen),
         &transition,
-        &twin.initial.to_vec(),
+        &parent.initial.to_vec(),
         &settings.start,
         settings.seed,
     )?;

@@ -96,10 +96,10 @@ pub(super) fn all_speakers<'a>(
 ) -> Result<(Start, Clips<'a>)> {
     let mut start = aligned.sound;
     start.add_all(heard)?;
-    let mut all = train.observed(Observed::Sound);
-    all.keep(&aligned.fits);
-    all.extend(heard);
-    Ok((start, all))
+    let mut clips = train.observed(Observed::Sound);
+    clips.keep(&aligned.fits);
+    clips.extend(heard);
+    Ok((start, clips))
 }
 
 /// The audio HMM alone. Where densities are joint its components stay those of the mouth: they are trained on, not grown
@@ -108,7 +108,7 @@ pub(super) fn retrain(
     before: &Parameters,
     seen: &[bool],
     density: Density,
-    (start, all): (Start, Clips),
+    (start, clips): (Start, Clips),
     settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Mixtures> {
@@ -118,7 +118,7 @@ pub(super) fn retrain(
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     }
     loop {
-        let sums = passes(&mut parameters, &all, &floors, None, settings, progress)?;
+        let sums = passes(&mut parameters, &clips, &floors, None, settings, progress)?;
         if parameters.audio.mean.dim().1 >= components {
             return Ok(parameters.audio);
         }

@@ -169,34 +169,34 @@ impl<'a> Clips<'a> {
         phones: &'a [Phone],
         progress: &dyn Progress,
     ) -> Self {
-        let mut all = Self {
+        let mut clips = Self {
             clips: folder.split(split).map(|clip| (folder, clip)).collect(),
             ..Self::none(phones)
         };
-        let fit = all
+        let fit = clips
             .clips
             .iter()
-            .map(|(_, clip)| usable(clip, &all.index()).map(drop));
+            .map(|(_, clip)| usable(clip, &clips.index()).map(drop));
         let fit: Vec<Result<()>> = fit.collect();
-        all.leave_out(fit, progress);
-        all
+        clips.leave_out(fit, progress);
+        clips
     }
 
     /// Those whose files can be read, and have a mouth if they are to.
     pub fn readable(mut self, with_video: bool, progress: &dyn Progress) -> Self {
         let mut read = Vec::new();
-        let try_one = |n: usize| {
+        let try_clip = |n: usize| {
             let utterance = self.get(n);
             Ok(utterance.and_then(|u| match with_video && u.visual.is_none() {
                 true => bail!(Data, "clip {}: it has no video", u.id),
                 false => Ok(()),
             }))
         };
-        let all = in_order(self.len(), try_one, |one| {
-            read.push(one);
+        let outcome = in_order(self.len(), try_clip, |tried| {
+            read.push(tried);
             Ok(())
         });
-        debug_assert!(all.is_ok(), "what cannot be read is no error here");
+        debug_assert!(outcome.is_ok(), "what cannot be read is no error here");
         self.leave_out(read, progress);
         self
     }

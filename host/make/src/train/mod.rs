@@ -146,8 +146,8 @@ pub fn train(
     let audio = match heard.is_empty() {
         true => parameters.audio,
         false => {
-            let all = audio::all_speakers(aligned, &train, &heard)?;
-            audio::retrain(&parameters, &seen, system.density, all, settings, progress)?
+            let speakers = audio::all_speakers(aligned, &train, &heard)?;
+            audio::retrain(&parameters, &seen, system.density, speakers, settings, progress)?
         }
     };
     let visual = parameters

@@ -163,7 +163,7 @@ fn array<D: Dimension, S: ndarray::ShapeArg<Dim = D> + Clone>(
 
 /// Adds the sums of all shards, whatever order they are given in; refuses sums that do not belong together.
 pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
-    let mut all = Vec::new();
+    let mut shards = Vec::new();
     for path in paths {
         let (origin, sums) = read(path)?;
         if origin.state != state {
@@ -173,13 +173,13 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
                 path.display()
             );
         }
-        all.push((path, origin, sums));
+        shards.push((path, origin, sums));
     }
-    all.sort_by_key(|(_, origin, _)| origin.shard);
-    let Some((first, head, _)) = all.first() else {
+    shards.sort_by_key(|(_, origin, _)| origin.shard);
+    let Some((first, head, _)) = shards.first() else {
         bail!(Choice, "no sums to merge");
     };
-    for (path, origin, _) in &all {
+    for (path, origin, _) in &shards {
         if origin.corpus != head.corpus {
             bail!(
                 Choice,
@@ -199,7 +199,7 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
             );
         }
     }
-    for pair in all.windows(2) {
+    for pair in shards.windows(2) {
         if pair[0].1.shard == pair[1].1.shard {
             bail!(
                 Choice,
@@ -212,13 +212,13 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
         }
     }
     let missing: Vec<String> = (1..=head.of)
-        .filter(|n| all.iter().all(|(_, origin, _)| origin.shard != *n))
+        .filter(|n| shards.iter().all(|(_, origin, _)| origin.shard != *n))
         .map(|n| n.to_string())
         .collect();
     if !missing.is_empty() {
         bail!(Choice, "shard {} of {} is missing", missing.join(", "), head.of);
     }
-    let mut sums = all.into_iter().map(|(_, _, sums)| sums);
+    let mut sums = shards.into_iter().map(|(_, _, sums)| sums);
     let mut total = sums
         .next()
         .ok_or_else(|| Error::File("no sums to merge".into()))?;

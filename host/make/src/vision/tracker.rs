@@ -225,9 +225,9 @@ pub(crate) fn follow(
 
 /// Starts to try: the boxes themselves, then somewhat beside, larger and smaller.
 fn starts(view: &View, clip: FaceBox, seen: Option<FaceBox>, side: f32) -> Vec<Affine> {
-    let mut all = Vec::new();
+    let mut starts = Vec::new();
     for face in seen.into_iter().chain([clip]) {
-        all.push(view.start(face, side));
+        starts.push(view.start(face, side));
     }
     for (dx, dy, scale) in [
         (0.0, 0.06, 1.0),
@@ -243,9 +243,9 @@ fn starts(view: &View, clip: FaceBox, seen: Option<FaceBox>, side: f32) -> Vec<A
             top: clip.top + dy * clip.side - 0.5 * (grown - clip.side),
             side: grown,
         };
-        all.push(view.start(beside, side));
+        starts.push(view.start(beside, side));
     }
-    all
+    starts
 }
 
 /// Gaps filled from the nearest pictures that were found, linearly in between.

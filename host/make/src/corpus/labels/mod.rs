@@ -68,12 +68,12 @@ pub fn read<P: AsRef<Path>>(paths: &[P], duration_s: f64) -> Result<Labels> {
     }
     sorted.sort();
     for (_, path) in sorted {
-        let one = read_one(path, duration_s).with_context(|| format!("labels {}", path.display()))?;
+        let read = read_one(path, duration_s).with_context(|| format!("labels {}", path.display()))?;
         if labels.words.is_empty() {
-            labels.words = one.words;
+            labels.words = read.words;
         }
         if labels.phones.is_empty() {
-            labels.phones = one.phones;
+            labels.phones = read.phones;
         }
     }
     Ok(labels)
