@@ -4,9 +4,8 @@ use std::path::Path;
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::MgeModel;
-use lipstream::kinds::recurrent::parameters::{
-    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
-};
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
+use lipstream::random::fill_normal;
 use lipstream::synthetic::{Sizes, model};
 use lipstream_core::kinds::Kind;
 use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};
@@ -25,10 +24,10 @@ fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> V
 
 /// A recurrent model of random numbers, both of whose chains own everything that they can.
 fn recurrent(rng: &mut Pcg64) -> MgeModel {
-    let mut twin = model(&Sizes::small(), 2.0, rng);
-    twin.start_mean.fill(0.0);
+    let mut parent = model(&Sizes::small(), 2.0, rng);
+    parent.start_mean.fill(0.0);
     let shape = Shape {
-        phones: twin.phones.len(),
+        phones: parent.phones.len(),
         context: Context::default(),
         inputs: 22,
         memory: 17,
@@ -50,7 +49,7 @@ fn recurrent(rng: &mut Pcg64) -> MgeModel {
         };
         fill_normal(parameters.of_mut(group), mean, deviation, rng);
     }
-    let transition = twin.transition.iter();
+    let transition = parent.transition.iter();
     parameters
         .of_mut(Group::Transition)
         .iter_mut()
@@ -65,7 +64,7 @@ fn recurrent(rng: &mut Pcg64) -> MgeModel {
         least: 1e-4,
         validation_amse: None,
         provenance: "random numbers".to_owned(),
-        twin,
+        parent,
         parameters,
     }
 }

@@ -10,7 +10,7 @@ use anyhow::{Context as _, Result, bail};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::likelihood::convert::{Follower, Lag};
 use lipstream::kinds::recurrent::live;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
 use lipstream_make::features::{Clip, FeatureFolder, Split};
 use lipstream_make::mge::judge::largest;
@@ -73,15 +73,15 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     };
     let split = Split::named(rest.first().map_or("test", String::as_str))?;
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
-    let model = MgeModel::read(&PathBuf::from(model))?;
-    let follower = Follower::of_model(&model.twin);
+    let model = RecurrentModel::read(&PathBuf::from(model))?;
+    let follower = Follower::of_model(&model.parent);
     let (mut before, mut after) = (Count::default(), Count::default());
     for clip in folder.split(split) {
         let observations = folder.audio(clip).with_context(|| clip.id.clone())?;
-        let (audio, visual) = follower.occupancies(&observations, Lag::Frames(model.twin.following.lag))?;
-        before.add(&model.twin.phones, &audio, &visual, clip);
+        let (audio, visual) = follower.occupancies(&observations, Lag::Frames(model.parent.following.lag))?;
+        before.add(&model.parent.phones, &audio, &visual, clip);
         let said = live::convert(&model, observations.view());
-        after.add(&model.twin.phones, &said.audio, &said.visual, clip);
+        after.add(&model.parent.phones, &said.audio, &said.visual, clip);
     }
     println!("{}", before.line("by likelihood"));
     println!("{}", after.line("by the error of the mouth"));

@@ -4,13 +4,13 @@
 //!
 //! FOLDER is what the model was trained on; OTHERS holds clips of other talkers with their mouths. Gaps are read off mouth
 //! images (theirs) and off mouth parameters (the model's); a correlation asks for no scale. Beside it stand the
-//! likelihood-trained twin, and chance: the same gaps against those of the next clip.
+//! likelihood-trained parent, and chance: the same gaps against those of the next clip.
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use lipstream::kinds::likelihood::convert::{Lag, convert};
 use lipstream::kinds::recurrent::live;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream_make::evaluate::closure::Gaps;
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::features::{Clip, FeatureFolder};
@@ -28,7 +28,7 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
         bail!("write FOLDER OTHERS MGE.safetensors");
     };
     let (own, others) = (FeatureFolder::open(own)?, FeatureFolder::open(others)?);
-    let model = MgeModel::read(model)?;
+    let model = RecurrentModel::read(model)?;
     let read_out = Gaps::learn(&own).context("the gap of the model's own talker")?;
     let theirs = Gaps::learn(&others).context("the gaps of the others")?;
     let clips: Vec<&Clip> = others
@@ -42,22 +42,22 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     for clip in &clips {
         let audio = others.audio(clip)?;
         let said = live::convert(&model, audio.view()).parameters;
-        let lag = Lag::Frames(model.twin.following.lag);
-        let (twin, _) = convert(&model.twin, &audio, lag)?;
+        let lag = Lag::Frames(model.parent.following.lag);
+        let (parent, _) = convert(&model.parent, &audio, lag)?;
         gaps.push((
             theirs.truth(&others, clip)?.gap().to_vec(),
             read_out.read_out(said.view()),
-            read_out.read_out(twin.view()),
+            read_out.read_out(parent.view()),
         ));
     }
-    println!("| clip | talker | mge | likelihood-trained twin | chance |\n|---|---|---|---|---|");
+    println!("| clip | talker | mge | likelihood-trained parent | chance |\n|---|---|---|---|---|");
     let mut sums = [0.0; 3];
     for (n, clip) in clips.iter().enumerate() {
-        let (truth, said, twin) = &gaps[n];
+        let (truth, said, parent) = &gaps[n];
         let next = &gaps[(n + 1) % gaps.len()].0;
         let row = [
             correlation(truth, said),
-            correlation(truth, twin),
+            correlation(truth, parent),
             correlation(next, said),
         ];
         sums.iter_mut()

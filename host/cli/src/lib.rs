@@ -2,5 +2,6 @@
 #![deny(unsafe_code)]
 
 mod commands;
+mod progress;
 
 pub use commands::run;

@@ -79,7 +79,7 @@ fn features(root: &Path) -> FeatureFolder {
         std::fs::write(path("txt"), words.join(" ")).unwrap();
         std::fs::write(path("phn"), phn(&begins, samples.len())).unwrap();
     }
-    let settings = corpus::Settings {
+    let settings = corpus::PrepareSettings {
         corpus: root.join("corpus"),
         out: root.join("features"),
         clips: corpus::discover::Options {
@@ -105,17 +105,17 @@ fn borders_are_found_where_they_were_made() {
     let scratch = tempfile::tempdir().unwrap();
     let root = scratch.path();
     let folder = features(root);
-    let settings = train::Settings {
+    let settings = train::AudioHmmSettings {
         mixtures: 2,
         ..Default::default()
     };
-    let hmm = train::train(&folder, &settings, None, &|_| ()).unwrap();
+    let hmm = train::train(&folder, &settings, None, &()).unwrap();
     let model = root.join("audio.safetensors");
     hmm.write(&model).unwrap();
     assert_eq!(AudioHmm::read(&model).unwrap(), hmm);
     // Twice the same, on one thread too.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let again = one_thread.install(|| train::train(&folder, &settings, Some(&folder.root), &|_| ()).unwrap());
+    let again = one_thread.install(|| train::train(&folder, &settings, Some(&folder.root), &()).unwrap());
     assert_eq!(again, hmm);
 
     // Sentences that were not trained on, through the program, in every format.
@@ -174,12 +174,12 @@ fn what_cannot_be_aligned_is_said() {
     let scratch = tempfile::tempdir().unwrap();
     let root = scratch.path();
     let folder = features(root);
-    let settings = train::Settings {
+    let settings = train::AudioHmmSettings {
         mixtures: 1,
         iterations: 1,
         ..Default::default()
     };
-    let hmm = train::train(&folder, &settings, None, &|_| ()).unwrap();
+    let hmm = train::train(&folder, &settings, None, &()).unwrap();
     let model = root.join("audio.safetensors");
     hmm.write(&model).unwrap();
     let (words, samples, _) = sentence(&mut Pcg64::seed_from_u64(6));

@@ -6,8 +6,8 @@ use lipstream::phones::VISEMES;
 use lipstream::reference::{self, Normalisation};
 use lipstream::render::drawn::{self, HEIGHT, Pose, WIDTH};
 use lipstream_make::evaluate::{
-    self, Candidate, Destination, Heading, Heard, Iteration, NoiseSettings, Prediction, Report, Settings,
-    exchange, models, truths,
+    self, Candidate, Destination, EvaluateSettings, Heading, Heard, Iteration, NoiseSettings, Prediction,
+    Report, exchange, models, truths,
 };
 use lipstream_make::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Split};
 use lipstream_media::sound;
@@ -153,8 +153,8 @@ fn share_of_truth<'a>(folder: &'a FeatureFolder, name: &str, share: f32) -> Cand
     candidate
 }
 
-fn settings() -> Settings {
-    Settings {
+fn settings() -> EvaluateSettings {
+    EvaluateSettings {
         resamples: 200,
         reference: Some("halved".into()),
         noise: Some(NoiseSettings {
@@ -162,7 +162,7 @@ fn settings() -> Settings {
             ..NoiseSettings::default()
         }),
         cold_starts: true,
-        ..Settings::default()
+        ..EvaluateSettings::default()
     }
 }
 
@@ -171,7 +171,7 @@ fn measured(folder: &FeatureFolder) -> Report {
     candidates.extend(models::ridge(folder, true).unwrap());
     candidates.push(share_of_truth(folder, "tenth", 0.1));
     candidates.push(share_of_truth(folder, "halved", 0.5));
-    evaluate::measure(folder, Split::Test, &candidates, &settings(), &|_| ()).unwrap()
+    evaluate::measure(folder, Split::Test, &candidates, &settings(), &()).unwrap()
 }
 
 fn heading() -> Heading {
@@ -343,14 +343,14 @@ fn the_page_holds_every_number_and_needs_nothing() {
 fn one_file_of_each_form() {
     let root = tempfile::tempdir().unwrap();
     let folder = talker(root.path());
-    let settings = Settings {
+    let settings = EvaluateSettings {
         resamples: 100,
-        ..Settings::default()
+        ..EvaluateSettings::default()
     };
     // Without mouth images everything but closure is measured, and the report says so.
     std::fs::remove_dir_all(root.path().join("mouths")).unwrap();
     let candidates = [models::mean(folder.manifest.visual_size)];
-    let report = evaluate::measure(&folder, Split::Val, &candidates, &settings, &|_| ()).unwrap();
+    let report = evaluate::measure(&folder, Split::Val, &candidates, &settings, &()).unwrap();
     assert!(report.closure.is_none() && report.noise.is_empty() && report.cold_starts.is_none());
     assert!(
         report.notes[0].starts_with("Closure was not measured"),
@@ -404,19 +404,19 @@ fn features_go_out_and_predictions_come_in() {
         }
     }
     let candidates = [models::mean(6), exchange::predictions("theirs", &said).unwrap()];
-    let settings = Settings {
+    let settings = EvaluateSettings {
         resamples: 100,
-        ..Settings::default()
+        ..EvaluateSettings::default()
     };
-    let report = evaluate::measure(&folder, Split::Test, &candidates, &settings, &|_| ()).unwrap();
+    let report = evaluate::measure(&folder, Split::Test, &candidates, &settings, &()).unwrap();
     let (mean, theirs) = (&report.systems[0].amse.value, &report.systems[1]);
     assert!((theirs.acc.value - 1.0).abs() < 1e-3);
     assert!(theirs.amse.value < 0.5 * mean);
 
     // What does not fit is refused in one line.
-    let refused = |candidates: &[Candidate], settings: &Settings| {
-        let error = evaluate::measure(&folder, Split::Test, candidates, settings, &|_| ()).unwrap_err();
-        let text = format!("{error:#}");
+    let refused = |candidates: &[Candidate], settings: &EvaluateSettings| {
+        let error = evaluate::measure(&folder, Split::Test, candidates, settings, &()).unwrap_err();
+        let text = lipstream_make::error::chain(&error);
         assert!(!text.contains('\n') && text.len() > 20, "{text}");
         text
     };
@@ -427,7 +427,7 @@ fn features_go_out_and_predictions_come_in() {
     assert!(exchange::predictions("theirs", &root.path().join("nowhere")).is_err());
     let twice = [models::mean(6), models::mean(6)];
     assert!(refused(&twice, &settings).contains("two systems"));
-    let unknown = Settings {
+    let unknown = EvaluateSettings {
         reference: Some("nobody".into()),
         ..settings
     };

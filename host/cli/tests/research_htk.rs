@@ -51,7 +51,7 @@ fn the_gate_passes_half_of_recorded_talk() {
     let pairs = golden();
     for pair in pairs {
         let raw = reference::statics(&pair.samples);
-        let mut gate = reference::normalise::Gate::default();
+        let mut gate = reference::normalise::SpeechGate::default();
         let open = raw.column(12).iter().filter(|&&e| gate.next(e)).count();
         let seconds = 2.56 * raw.nrows() as f64 / open as f64;
         println!("{}: {seconds:.1} s of talk", pair.name);

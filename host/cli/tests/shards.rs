@@ -1,8 +1,8 @@
 //! EM in pieces gives what one run gives; a killed run is taken up and gives the same bytes; poor data are warned about.
-use std::cell::RefCell;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::Mutex;
 
 use lipstream::hmm::system::System;
 use lipstream::kinds::likelihood::Model;
@@ -12,7 +12,7 @@ use lipstream_make::em::{self, Sums};
 use lipstream_make::features::{FeatureFolder, Split};
 use lipstream_make::train::shards::{self, Splitting};
 use lipstream_make::train::state::State;
-use lipstream_make::train::{Settings, train};
+use lipstream_make::train::{TrainSettings, train};
 use ndarray::{Array, Dimension};
 
 #[path = "../../make/tests/talker/mod.rs"]
@@ -55,14 +55,14 @@ fn shards_add_up_to_one_run() {
     let folder = made_up_talker(root, 27);
     for name in ["local-linear", "ph-hmm"] {
         let system = System::from_name(name).unwrap();
-        let start = shards::start(&folder, &[], system, &|_| ()).unwrap();
+        let start = shards::start(&folder, &[], system, &()).unwrap();
         let state = root.join("start.state");
         start.write(&state).unwrap();
         let run = |of: usize| -> (State, Sums) {
             let files: Vec<PathBuf> = (1..=of)
                 .map(|shard| {
                     let path = root.join(format!("{shard}-{of}.sums"));
-                    shards::accumulate_files(&folder, &state, (shard, of), &path, &|_| ()).unwrap();
+                    shards::accumulate_files(&folder, &state, (shard, of), &path, &()).unwrap();
                     path
                 })
                 .collect();
@@ -82,7 +82,7 @@ fn shards_add_up_to_one_run() {
             assert!(apart.iter().all(|d| *d < 1e-5), "{name} in {of}");
         }
         // And all clips in memory at once.
-        let clips = shards::clips(&folder, system, &start.parameters.phones, &|_| ());
+        let clips = shards::clips(&folder, system, &start.parameters.phones, &());
         let all: Vec<Utterance> = (0..27).map(|n| clips.get(n).unwrap().into_owned()).collect();
         same(&sums, &em::expect(&start.parameters, &all[..]).unwrap());
     }
@@ -210,7 +210,7 @@ fn what_cannot_be_sharded_is_said() {
     let folder = made_up_talker(root, 9);
     let system = System::from_name("local-linear").unwrap();
     let state = root.join("a.state");
-    shards::start(&folder, &[], system, &|_| ())
+    shards::start(&folder, &[], system, &())
         .unwrap()
         .write(&state)
         .unwrap();
@@ -312,19 +312,19 @@ fn poor_data_are_warned_about_and_give_numbers() {
         &short.slice(ndarray::s![..9, ..]).to_owned(),
     )
     .unwrap();
-    let said = RefCell::new(Vec::new());
-    let settings = Settings {
+    let said = Mutex::new(Vec::new());
+    let settings = TrainSettings {
         audio_mixtures: 2,
         iterations: 3,
         acoustic_scales: vec![0.2],
         penalties: vec![10.0],
-        ..Settings::default()
+        ..TrainSettings::default()
     };
-    let model = train(&folder, &[], &settings, &|line| {
-        said.borrow_mut().push(line.to_owned())
+    let model = train(&folder, &[], &settings, &|line: &str| {
+        said.lock().unwrap().push(line.to_owned())
     })
     .unwrap();
-    let said = said.into_inner().join("\n");
+    let said = said.into_inner().unwrap().join("\n");
     for part in [
         "audio numbers 5 never change",
         "9 frames are too few",

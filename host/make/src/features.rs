@@ -14,10 +14,10 @@
 //! `manifest.json` is written last and removed first: a folder that has one is whole.
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
 use ndarray::{Array2, Array4};
 use serde::{Deserialize, Serialize};
 
+use crate::error::{Context as _, Error, Result, bail, ensure};
 use lipstream::npy::read_npy;
 use lipstream::phones::Phone;
 use lipstream_media::files;
@@ -108,7 +108,7 @@ impl Split {
         Self::ALL
             .into_iter()
             .find(|split| split.name() == name)
-            .ok_or_else(|| anyhow!("no split is called {name:?}: train, val, test"))
+            .ok_or_else(|| Error::Choice(format!("no split is called {name:?}: train, val, test")))
     }
 }
 
@@ -139,6 +139,7 @@ impl FeatureFolder {
             serde_json::from_slice(&bytes).with_context(|| format!("{} is damaged", path.display()))?;
         if manifest.version != MANIFEST_VERSION {
             bail!(
+                File,
                 "{} has layout version {}, this program reads {MANIFEST_VERSION}: run `lipstream prepare` again",
                 path.display(),
                 manifest.version
@@ -187,9 +188,10 @@ impl FeatureFolder {
     /// Audio observations, `[frames, 39]`.
     pub fn audio(&self, clip: &Clip) -> Result<Array2<f32>> {
         let path = self.audio_path(&clip.id);
-        let array = read_npy(&path)?;
+        let array = read_npy(&path).map_err(Error::other)?;
         if array.dim() != (clip.audio_frames, lipstream_core::N_OBSERVATION) {
             bail!(
+                File,
                 "{}: shape {:?} is not the manifest's",
                 path.display(),
                 array.dim()
@@ -201,9 +203,10 @@ impl FeatureFolder {
     /// Visual observations at the video's rate, `[video frames, D]`.
     pub fn visual(&self, clip: &Clip) -> Result<Array2<f32>> {
         let path = self.visual_path(&clip.id);
-        let array = read_npy(&path)?;
+        let array = read_npy(&path).map_err(Error::other)?;
         if array.dim() != (clip.video_frames, self.manifest.visual_size) {
             bail!(
+                File,
                 "{}: shape {:?} is not the manifest's",
                 path.display(),
                 array.dim()
@@ -229,20 +232,23 @@ impl Manifest {
         ensure!(
             self.start_mean.len() == lipstream_core::N_STATIC
                 && self.start_mean.iter().all(|v| v.is_finite()),
+            File,
             "the start mean is not {} numbers",
             lipstream_core::N_STATIC
         );
         let mut ids = std::collections::HashSet::new();
         for clip in &self.clips {
-            ensure!(is_safe_id(&clip.id), "{:?} cannot be a file name", clip.id);
+            ensure!(is_safe_id(&clip.id), File, "{:?} cannot be a file name", clip.id);
             ensure!(
                 ids.insert(clip.id.to_lowercase()),
+                File,
                 "clip {} is there twice",
                 clip.id
             );
             clip.check().with_context(|| format!("clip {}", clip.id))?;
             ensure!(
                 clip.video_frames == 0 || self.visual_size > 0,
+                File,
                 "clip {} has video, but a visual frame has no numbers",
                 clip.id
             );
@@ -256,6 +262,7 @@ impl Clip {
         if self.video_frames > 0 {
             ensure!(
                 self.video_hz.is_finite() && self.video_hz > 0.0,
+                File,
                 "its video has {} frames a second",
                 self.video_hz
             );
@@ -264,24 +271,36 @@ impl Clip {
         for word in &self.words {
             ensure!(
                 !word.pronunciations.is_empty() && word.pronunciations.iter().all(|p| !p.is_empty()),
+                File,
                 "word {:?} has no pronunciation",
                 word.text
             );
             for phone in word.pronunciations.iter().flatten() {
-                ensure!(Phone::from_name(phone).is_some(), "no phone is called {phone:?}");
+                ensure!(
+                    Phone::from_name(phone).is_some(),
+                    File,
+                    "no phone is called {phone:?}"
+                );
             }
             if let Some((start, end)) = word.time {
-                ensure!(span(start, end), "word {:?} from {start} s to {end} s", word.text);
+                ensure!(
+                    span(start, end),
+                    File,
+                    "word {:?} from {start} s to {end} s",
+                    word.text
+                );
             }
         }
         for label in &self.phones {
             ensure!(
                 Phone::from_name(&label.phone).is_some(),
+                File,
                 "no phone is called {:?}",
                 label.phone
             );
             ensure!(
                 span(label.start, label.end),
+                File,
                 "phone {} from {} s to {} s",
                 label.phone,
                 label.start,
@@ -298,6 +317,7 @@ pub fn read_mouths(path: &Path) -> Result<Array4<u8>> {
         ndarray_npy::read_npy(path).with_context(|| format!("cannot read {}", path.display()))?;
     ensure!(
         images.dim().3 == 3,
+        File,
         "{}: shape {:?} is no sequence of RGB images",
         path.display(),
         images.dim()
@@ -308,6 +328,7 @@ pub fn read_mouths(path: &Path) -> Result<Array4<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::chain;
 
     fn manifest() -> Manifest {
         Manifest {
@@ -374,7 +395,8 @@ mod tests {
             let mut manifest = manifest();
             damage(&mut manifest);
             let error = opened(&manifest).map(|_| ()).unwrap_err();
-            assert!(!format!("{error:#}").contains('\n'), "{i}: {error:#}");
+            let text = chain(&error);
+            assert!(!text.contains('\n'), "{i}: {text}");
         }
         let folder = tempfile::tempdir().unwrap();
         assert!(FeatureFolder::open(folder.path()).is_err());

@@ -25,6 +25,7 @@
 pub mod align;
 pub mod corpus;
 pub mod em;
+pub mod error;
 pub mod evaluate;
 pub mod features;
 pub mod mge;
@@ -32,3 +33,5 @@ pub mod noise;
 pub mod shelf;
 pub mod train;
 pub mod vision;
+
+pub use error::{Error, Result};

@@ -4,7 +4,8 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
-use lipstream::reference::normalise::Gate;
+use lipstream::random::normal_f64;
+use lipstream::reference::normalise::SpeechGate;
 use lipstream::reference::{energy, frame_count};
 
 /// What is heard beside the speaker.
@@ -41,12 +42,7 @@ pub fn generator(seed: u64, id: &str, what: &str) -> Pcg64 {
 
 /// Gaussian noise of variance one.
 pub fn white(rng: &mut Pcg64, samples: usize) -> Vec<f64> {
-    (0..samples)
-        .map(|_| {
-            let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
-            (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-        })
-        .collect()
+    (0..samples).map(|_| normal_f64(rng)).collect()
 }
 
 /// [`VOICES`] clips of `others` drawn at random, each of power one, from a random place on, repeated as needed.
@@ -78,7 +74,7 @@ fn power(values: impl Iterator<Item = f64>) -> f64 {
 
 /// Which samples belong to speech, by the front end's own gate; all of them if it never opens.
 pub fn speech(samples: &[i16]) -> Vec<bool> {
-    let mut gate = Gate::default();
+    let mut gate = SpeechGate::default();
     let mut is_speech = vec![false; samples.len()];
     for t in 0..frame_count(samples.len()) {
         let frame: Vec<f64> = samples[t * HOP_SAMPLES..][..lipstream_core::FRAME_SAMPLES]

@@ -1,11 +1,10 @@
 //! Rows of numbers put aside, to be read when their turn comes: in memory, or in a file without a name. Then memory does not
 //! grow with their number, and nothing is left behind when a run is killed.
+use crate::error::{Context as _, Result};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::Path;
 use std::sync::Mutex;
-
-use anyhow::{Context as _, Result};
 
 /// Rows of numbers, each of its own length.
 pub struct Shelf {

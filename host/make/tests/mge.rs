@@ -1,13 +1,14 @@
 //! Minimum generation error training end to end on a made-up talker: learnt, the same bytes again, interrupted and
 //! gone on with, streamed as in batches, refused in words.
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::VISUAL;
 use lipstream::kinds::recurrent::live;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate};
 use lipstream::kinds::recurrent::settle::settle;
 use lipstream::kinds::recurrent::step::Net;
@@ -19,7 +20,7 @@ use lipstream_core::{Model as Tables, ParameterFrame, StreamSettings};
 use lipstream_make::mge::data::{Clip, Data};
 use lipstream_make::mge::judge::{centred, judge};
 use lipstream_make::mge::pass::{Masks, Tape};
-use lipstream_make::mge::settings::Settings;
+use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::store::Store;
 use lipstream_make::mge::train::train_on;
 use ndarray::Array2;
@@ -28,15 +29,15 @@ use rand_pcg::Pcg64;
 
 const OUTPUTS: usize = 5;
 
-fn twin() -> Model {
+fn parent() -> Model {
     synthetic::model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(8))
 }
 
 /// Phones in random order, five states each; sound and mouth are functions of phone and viseme with noise, and the mouth
 /// glides, so that a memory helps.
-fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
+fn clips(parent: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
     let mut fixed = Pcg64::seed_from_u64(21);
-    let sounds = Array2::from_shape_fn((twin.phones.len(), 13), |_| fixed.random_range(-1.5f32..1.5));
+    let sounds = Array2::from_shape_fn((parent.phones.len(), 13), |_| fixed.random_range(-1.5f32..1.5));
     let looks = Array2::from_shape_fn((13, OUTPUTS), |_| fixed.random_range(-1.5f32..1.5));
     (0..n)
         .map(|index| {
@@ -44,8 +45,8 @@ fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
             let mut mouth = Vec::new();
             let mut now = [0.0f32; OUTPUTS];
             for _ in 0..8 {
-                let phone = rng.random_range(0..twin.phones.len());
-                let viseme = usize::from(twin.phones[phone].viseme().0);
+                let phone = rng.random_range(0..parent.phones.len());
+                let viseme = usize::from(parent.phones[phone].viseme().0);
                 for state in 0..N_EMITTING {
                     for _ in 0..rng.random_range(1..4) {
                         states.push((N_EMITTING * phone + state, N_EMITTING * viseme + state));
@@ -69,12 +70,12 @@ fn clips(twin: &Model, n: usize, video: bool, rng: &mut Pcg64) -> Vec<Clip> {
         .collect()
 }
 
-fn data(twin: &Model) -> Data {
+fn data(parent: &Model) -> Data {
     let mut rng = Pcg64::seed_from_u64(4);
     Data {
-        train: stored(clips(twin, 24, true, &mut rng)),
-        heard: stored(clips(twin, 6, false, &mut rng)),
-        validation: stored(clips(twin, 6, true, &mut rng)),
+        train: stored(clips(parent, 24, true, &mut rng)),
+        heard: stored(clips(parent, 6, false, &mut rng)),
+        validation: stored(clips(parent, 6, true, &mut rng)),
         scale: vec![0.5; 13],
         deviation: (0..OUTPUTS).map(|d| 10.0 / (d + 1) as f32).collect(),
     }
@@ -90,30 +91,35 @@ fn every(clips: &Store) -> impl Iterator<Item = Clip> {
     (0..clips.len()).map(|n| clips.get(n).unwrap())
 }
 
-fn small() -> Settings {
-    let mut settings = Settings {
+fn small() -> MgeTrainSettings {
+    let mut settings = MgeTrainSettings {
         inputs: 16,
         memory: 12,
         passes: 8,
         batch: 6,
         crop: 40,
-        ..Settings::default()
+        ..MgeTrainSettings::default()
     };
     settings.rule.rate = 0.02;
     settings
 }
 
-fn quietly(data: &Data, twin: &Model, settings: &Settings, checkpoint: Option<&Path>) -> MgeModel {
-    train_on(data, twin, settings, checkpoint, &|_| ()).unwrap()
+fn quietly(
+    data: &Data,
+    parent: &Model,
+    settings: &MgeTrainSettings,
+    checkpoint: Option<&Path>,
+) -> RecurrentModel {
+    train_on(data, parent, settings, checkpoint, &()).unwrap()
 }
 
 #[test]
 fn a_made_up_talker_is_learnt() {
-    let twin = twin();
-    let data = data(&twin);
+    let parent = parent();
+    let data = data(&parent);
     for feedback in [Feedback::Output, Feedback::None] {
-        let settings = Settings { feedback, ..small() };
-        let model = quietly(&data, &twin, &settings, None);
+        let settings = MgeTrainSettings { feedback, ..small() };
+        let model = quietly(&data, &parent, &settings, None);
         let seen = judge(
             &model.parameters,
             &model.chain(),
@@ -140,16 +146,16 @@ fn a_made_up_talker_is_learnt() {
 #[test]
 fn threads_do_not_change_a_byte() {
     let scratch = tempfile::tempdir().unwrap();
-    let twin = twin();
-    let data = data(&twin);
-    let settings = Settings { passes: 2, ..small() };
+    let parent = parent();
+    let data = data(&parent);
+    let settings = MgeTrainSettings { passes: 2, ..small() };
     let bytes = |threads: usize| {
         let path = scratch.path().join(format!("{threads}.safetensors"));
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(threads)
             .build()
             .unwrap();
-        pool.install(|| quietly(&data, &twin, &settings, None))
+        pool.install(|| quietly(&data, &parent, &settings, None))
             .write(&path)
             .unwrap();
         std::fs::read(path).unwrap()
@@ -166,10 +172,10 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
         scratch.path().join("m.checkpoint"),
         scratch.path().join("early.checkpoint"),
     );
-    let twin = twin();
-    let data = data(&twin);
-    let settings = Settings { passes: 4, ..small() };
-    let whole = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+    let parent = parent();
+    let data = data(&parent);
+    let settings = MgeTrainSettings { passes: 4, ..small() };
+    let whole = train_on(&data, &parent, &settings, Some(&checkpoint), &|line: &str| {
         // What a run that is killed in its third pass leaves behind.
         if line.starts_with("pass 3/") {
             std::fs::copy(&checkpoint, &early).unwrap();
@@ -177,29 +183,29 @@ fn an_interrupted_run_goes_on_to_the_same_model() {
     })
     .unwrap();
     std::fs::copy(&early, &checkpoint).unwrap();
-    let went_on = std::cell::Cell::new(false);
-    let again = train_on(&data, &twin, &settings, Some(&checkpoint), &|line| {
+    let went_on = AtomicBool::new(false);
+    let again = train_on(&data, &parent, &settings, Some(&checkpoint), &|line: &str| {
         if line.starts_with("going on after step 8") {
-            went_on.set(true);
+            went_on.store(true, Ordering::Relaxed);
         }
     })
     .unwrap();
-    assert!(went_on.get());
+    assert!(went_on.into_inner());
     assert!(whole == again);
 
-    let other = Settings { seed: 2, ..settings };
-    let error = train_on(&data, &twin, &other, Some(&checkpoint), &|_| ()).unwrap_err();
+    let other = MgeTrainSettings { seed: 2, ..settings };
+    let error = train_on(&data, &parent, &other, Some(&checkpoint), &()).unwrap_err();
     assert!(error.to_string().contains("other settings"), "{error:#}");
 }
 
 #[test]
 fn an_extreme_rate_is_one_clear_error() {
-    let twin = twin();
-    let data = data(&twin);
+    let parent = parent();
+    let data = data(&parent);
     for rate in [1e4, 1e30] {
         let mut settings = small();
         settings.rule.rate = rate;
-        let error = train_on(&data, &twin, &settings, None, &|_| ()).unwrap_err();
+        let error = train_on(&data, &parent, &settings, None, &()).unwrap_err();
         let text = error.to_string();
         assert!(
             text.contains("diverged") && text.contains("learning rate"),
@@ -210,21 +216,21 @@ fn an_extreme_rate_is_one_clear_error() {
 
 #[test]
 fn streamed_frame_by_frame_as_in_batches() {
-    let twin = twin();
-    let data = data(&twin);
+    let parent = parent();
+    let data = data(&parent);
     for (feedback, maps, rates) in [
         (Feedback::Output, Gate::Both, Gate::Visual),
         (Feedback::Memory, Gate::Audio, Gate::Audio),
         (Feedback::None, Gate::Visual, Gate::Visual),
     ] {
-        let settings = Settings {
+        let settings = MgeTrainSettings {
             feedback,
             maps,
             rates,
             passes: 2,
             ..small()
         };
-        let model = quietly(&data, &twin, &settings, None);
+        let model = quietly(&data, &parent, &settings, None);
         let net = Net::new(&model.parameters, &model.chain(), model.least);
         for (clip, ahead) in every(&data.validation).flat_map(|c| [8, 3, 0].map(|ahead| (c.clone(), ahead))) {
             let frames = clip.x.nrows();
@@ -255,12 +261,12 @@ fn streamed_frame_by_frame_as_in_batches() {
 fn a_file_gives_the_model_back() {
     let scratch = tempfile::tempdir().unwrap();
     let path = scratch.path().join("m.safetensors");
-    let twin = twin();
-    let data = data(&twin);
-    let model = quietly(&data, &twin, &Settings { passes: 1, ..small() }, None);
+    let parent = parent();
+    let data = data(&parent);
+    let model = quietly(&data, &parent, &MgeTrainSettings { passes: 1, ..small() }, None);
     model.write(&path).unwrap();
-    let back = MgeModel::read(&path).unwrap();
-    assert!(back.twin == model.twin);
+    let back = RecurrentModel::read(&path).unwrap();
+    assert!(back.parent == model.parent);
     for group in GROUPS {
         if !matches!(
             group,
@@ -284,18 +290,18 @@ fn a_file_gives_the_model_back() {
     let error = Model::read(&path).unwrap_err().to_string();
     assert!(error.contains("kind"), "{error}");
     let likely = scratch.path().join("l.safetensors");
-    twin.write(&likely).unwrap();
-    let error = MgeModel::read(&likely).unwrap_err().to_string();
+    parent.write(&likely).unwrap();
+    let error = RecurrentModel::read(&likely).unwrap_err().to_string();
     assert!(error.contains("--train mge"), "{error}");
 
     // A file cut short, and one with a tensor of another shape.
     let bytes = std::fs::read(&path).unwrap();
     std::fs::write(&likely, &bytes[..bytes.len() / 2]).unwrap();
-    assert!(MgeModel::read(&likely).is_err());
+    assert!(RecurrentModel::read(&likely).is_err());
     let mut wrong = model.clone();
     wrong.context_mean.pop();
     wrong.write(&likely).unwrap();
-    let error = format!("{:#}", MgeModel::read(&likely).unwrap_err());
+    let error = format!("{:#}", RecurrentModel::read(&likely).unwrap_err());
     assert!(error.contains("mge.context_mean"), "{error}");
 }
 
@@ -324,20 +330,20 @@ fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16, settles: bool) -
 
 #[test]
 fn fixed_point_follows_the_floats() {
-    let twin = twin();
-    let data = data(&twin);
+    let parent = parent();
+    let data = data(&parent);
     for (feedback, maps, rates) in [
         (Feedback::Output, Gate::Both, Gate::Visual),
         (Feedback::Output, Gate::Audio, Gate::Audio),
         (Feedback::None, Gate::Visual, Gate::Visual),
     ] {
-        let settings = Settings {
+        let settings = MgeTrainSettings {
             feedback,
             maps,
             rates,
             ..small()
         };
-        let model = quietly(&data, &twin, &settings, None);
+        let model = quietly(&data, &parent, &settings, None);
         let tables = export_mge(&model, &MgeSettings::default()).unwrap().bytes;
         let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
         for clip in every(&data.validation) {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use lipstream_make::corpus::{self, Settings};
+use lipstream_make::corpus::{self, PrepareSettings};
 use lipstream_make::evaluate::closure::Gaps;
 use lipstream_make::evaluate::gap::Lips;
 use lipstream_make::features::{FeatureFolder, Split, read_mouths};
@@ -101,7 +101,7 @@ fn colour_agrees_with_landmarks() {
             }
         }
     }
-    let settings = Settings {
+    let settings = PrepareSettings {
         corpus: corpus_path,
         out: folder.path().join("features"),
         ..Default::default()

@@ -1,7 +1,7 @@
 //! `prepare` on real clips: some TIMIT sentences and some GRID videos. Needs LIPSTREAM_RESEARCH and `ffmpeg`.
 use std::path::{Path, PathBuf};
 
-use lipstream_make::corpus::{self, Settings};
+use lipstream_make::corpus::{self, PrepareSettings};
 use lipstream_make::features::{self, FeatureFolder, Split};
 
 /// The folder of the research data.
@@ -45,7 +45,7 @@ fn timit_sentences() {
             .flat_map(|s| ["wav", "phn", "wrd", "txt"].map(|e| format!("{s}.{e}")));
         copy(&from, &corpus_path.join(speaker), names);
     }
-    let settings = Settings {
+    let settings = PrepareSettings {
         corpus: corpus_path.clone(),
         out: folder.path().join("features"),
         clips: corpus::discover::Options {
@@ -119,7 +119,7 @@ fn grid_videos() {
         copy(&grid.join(split), &corpus_path.join(split), names);
     }
     std::fs::write(corpus_path.join("train/broken.mpg"), b"no video").unwrap();
-    let settings = Settings {
+    let settings = PrepareSettings {
         corpus: corpus_path,
         out: folder.path().join("features"),
         eigenmouths: 10,

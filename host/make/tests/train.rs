@@ -5,13 +5,13 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Lag, convert};
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::features::{FeatureFolder, Split};
-use lipstream_make::train::{Settings, data, train};
+use lipstream_make::train::{TrainSettings, data, train};
 mod talker;
 
 use talker::made_up_talker;
 
-fn small() -> Settings {
-    Settings {
+fn small() -> TrainSettings {
+    TrainSettings {
         audio_mixtures: 2,
         visual_mixtures: 1,
         iterations: 3,
@@ -19,7 +19,7 @@ fn small() -> Settings {
         context: 6,
         acoustic_scales: vec![0.2],
         penalties: vec![10.0],
-        ..Settings::default()
+        ..TrainSettings::default()
     }
 }
 
@@ -46,7 +46,7 @@ fn score(folder: &FeatureFolder, model: &Model) -> Score {
 fn a_made_up_talker_is_learnt_and_again_the_same() {
     let scratch = tempfile::tempdir().unwrap();
     let folder = made_up_talker(scratch.path(), 12);
-    let model = train(&folder, &[], &small(), &|_| ()).unwrap();
+    let model = train(&folder, &[], &small(), &()).unwrap();
     let acc = score(&folder, &model).acc();
     assert!(acc > 0.8, "ACC {acc} on clips that were not trained on");
 
@@ -57,7 +57,7 @@ fn a_made_up_talker_is_learnt_and_again_the_same() {
     model.write(&paths[0]).unwrap();
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     one_thread
-        .install(|| train(&folder, &[], &small(), &|_| ()))
+        .install(|| train(&folder, &[], &small(), &()))
         .unwrap()
         .write(&paths[1])
         .unwrap();
@@ -78,26 +78,26 @@ fn a_made_up_talker_is_learnt_and_again_the_same() {
 fn what_cannot_be_trained_is_said() {
     let scratch = tempfile::tempdir().unwrap();
     let mut folder = made_up_talker(scratch.path(), 12);
-    let odd = Settings {
+    let odd = TrainSettings {
         audio_mixtures: 3,
         ..small()
     };
     assert!(
-        train(&folder, &[], &odd, &|_| ())
+        train(&folder, &[], &odd, &())
             .unwrap_err()
             .to_string()
             .contains("power of two")
     );
     folder.manifest.clips.retain(|c| c.split != Split::Train);
     assert!(
-        train(&folder, &[], &small(), &|_| ())
+        train(&folder, &[], &small(), &())
             .unwrap_err()
             .to_string()
             .contains("no training clip")
     );
     folder.manifest.visual_size = 0;
     assert!(
-        train(&folder, &[], &small(), &|_| ())
+        train(&folder, &[], &small(), &())
             .unwrap_err()
             .to_string()
             .contains("no video")

@@ -23,7 +23,7 @@ use crate::kinds::likelihood::inversion::Inverter;
 use crate::kinds::likelihood::live::{Live as LocalLinear, NotFinite};
 use crate::kinds::likelihood::{EmSettings, Model};
 use crate::kinds::recurrent::live::Live;
-use crate::kinds::recurrent::model::MgeModel;
+use crate::kinds::recurrent::model::RecurrentModel;
 use crate::phones::VISEMES;
 use crate::reference::Normalisation;
 use crate::reference::observer::Observer;
@@ -81,7 +81,7 @@ pub enum FloatModel {
     /// Trained by likelihood.
     Likelihood(Box<Model>),
     /// Trained on the error of its mouth.
-    Recurrent(Box<MgeModel>),
+    Recurrent(Box<RecurrentModel>),
 }
 
 impl FloatModel {
@@ -93,8 +93,8 @@ impl FloatModel {
 
     /// The model in a file that has been read.
     pub fn of_tensors(tensors: &Tensors) -> Result<Self> {
-        Ok(match MgeModel::is_kind(tensors) {
-            true => Self::Recurrent(Box::new(MgeModel::from_tensors(tensors)?)),
+        Ok(match RecurrentModel::is_kind(tensors) {
+            true => Self::Recurrent(Box::new(RecurrentModel::from_tensors(tensors)?)),
             false => Self::Likelihood(Box::new(Model::of_tensors(tensors)?)),
         })
     }
@@ -210,7 +210,7 @@ impl Engine {
                 let own = model.parameters.shape.context.look_ahead();
                 let ahead = with.profile.and_then(|p| StreamSettings::of(p).look_ahead);
                 Running::Recurrent {
-                    observer: observer(&model.twin),
+                    observer: observer(&model.parent),
                     live: Box::new(Live::new(model, ahead.map_or(own, usize::from))),
                     settle: with.settle.unwrap_or(true).then_some(&model.deviation[..]),
                     before: Vec::new(),

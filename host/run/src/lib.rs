@@ -44,6 +44,8 @@ pub mod npy;
 pub mod out;
 pub mod parameters;
 pub mod phones;
+pub mod progress;
+pub mod random;
 pub mod reference;
 pub mod render;
 pub mod session;

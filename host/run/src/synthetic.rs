@@ -9,6 +9,7 @@ use crate::hmm::system::System;
 use crate::hmm::topology::Topology;
 use crate::kinds::likelihood::{ContextMap, EmSettings, Following, LocalLinear, Model};
 use crate::phones::{Phone, VISEMES};
+use crate::random::normal;
 
 /// Sizes of a random model.
 #[derive(Clone, Debug)]
@@ -44,12 +45,6 @@ impl Sizes {
             parameters: 30,
         }
     }
-}
-
-/// Mean 0, variance 1.
-fn normal(rng: &mut impl Rng) -> f32 {
-    let (u, v): (f32, f32) = (rng.random_range(1e-7..1.0), rng.random());
-    (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
 }
 
 /// A valid model with random numbers of the size that features have. Separation of the audio states: `spread` in

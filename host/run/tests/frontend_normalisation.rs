@@ -10,7 +10,7 @@ const E: usize = N_STATIC - 1;
 
 /// Which frames the gate calls speech.
 fn speech(samples: &[i16]) -> Vec<bool> {
-    let mut gate = normalise::Gate::default();
+    let mut gate = normalise::SpeechGate::default();
     let raw = reference::statics(samples);
     raw.column(E).iter().map(|&e| gate.next(e)).collect()
 }

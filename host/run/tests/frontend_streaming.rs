@@ -108,7 +108,7 @@ fn speech_level(samples: &[i16], from: f64, to: f64) -> (f64, f64) {
     let raw = reference::statics(samples);
     let float = normalise::causal(raw.view(), &start_mean());
     let fixed = frontend::observations(samples, causal());
-    let mut gate = normalise::Gate::default();
+    let mut gate = normalise::SpeechGate::default();
     let (mut sums, mut count) = ([0.0; 2], 0.0);
     for t in 0..raw.nrows() {
         let speech = gate.next(raw[[t, E]]);

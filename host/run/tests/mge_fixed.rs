@@ -6,9 +6,8 @@ use common::tables::{hear_out, n_sections, nth, seal};
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::MgeModel;
-use lipstream::kinds::recurrent::parameters::{
-    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal,
-};
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
+use lipstream::random::fill_normal;
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::kinds::recurrent::{Converter, TOKENS};
 use lipstream_core::logmath::LogProb;
@@ -50,9 +49,9 @@ fn another_kind_of_tables_is_refused_in_words() {
 /// A model of random numbers of the sizes that trained ones have.
 fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
     let rng = &mut Pcg64::seed_from_u64(seed);
-    let twin = synthetic::model(&Sizes::small(), 2.0, rng);
+    let parent = synthetic::model(&Sizes::small(), 2.0, rng);
     let shape = Shape {
-        phones: twin.phones.len(),
+        phones: parent.phones.len(),
         context: Context::default(),
         inputs: 22,
         memory: 17,
@@ -74,7 +73,7 @@ fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
         };
         fill_normal(parameters.of_mut(group), mean, deviation, rng);
     }
-    let transition = twin.transition.iter();
+    let transition = parent.transition.iter();
     parameters
         .of_mut(Group::Transition)
         .iter_mut()
@@ -89,7 +88,7 @@ fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
         least: 1e-4,
         validation_amse: None,
         provenance: "random numbers".to_owned(),
-        twin,
+        parent,
         parameters,
     }
 }

@@ -85,7 +85,7 @@ fn a_recurrent_model_in_floats() {
     let FloatModel::Recurrent(recurrent) = &model else {
         panic!("the shipped model is recurrent")
     };
-    let mean = &recurrent.twin.start_mean.to_vec();
+    let mean = &recurrent.parent.start_mean.to_vec();
     let observations = reference::observations(samples, causal(mean));
     let mut want = live::convert(recurrent, observations.view());
     settle(&mut want.parameters, &recurrent.deviation);

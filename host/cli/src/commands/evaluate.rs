@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::choices;
+use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
-    self, Candidate, Destination, Heading, NoiseSettings, Settings, exchange, look_ahead, models, systems,
+    self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
+    systems,
 };
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train;
@@ -81,6 +83,7 @@ fn short(path: &Path) -> String {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
@@ -107,11 +110,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .audio
                 .iter()
                 .map(|path| FeatureFolder::open(path))
-                .collect::<Result<Vec<_>>>()?;
-            let training = train::Settings::default();
-            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &|line| {
-                eprintln!("{line}")
-            })?
+                .collect::<Result<Vec<_>, _>>()?;
+            let training = train::TrainSettings::default();
+            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
         }
     };
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
@@ -129,9 +130,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
     if full {
-        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &|line| {
-            eprintln!("{line}")
-        })?);
+        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &progress)?);
         if let Some(trained) = &trained {
             candidates.extend(look_ahead::of_mge(trained, "mge, one model"));
         }
@@ -139,9 +138,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }
-    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &|what| {
-        eprintln!("measuring: {what}")
-    })?;
+    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &progress)?;
     if args.json {
         print!("{}", evaluate::json(&report)?);
     } else {
@@ -164,16 +161,16 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// A model trained by likelihood; or one trained on its error, after the twin that it came from.
-fn read(path: &Path) -> Result<(Model, Option<MgeModel>)> {
-    if MgeModel::is_kind(&Tensors::read(path)?) {
-        let trained = MgeModel::read(path)?;
-        return Ok((trained.twin.clone(), Some(trained)));
+/// A model trained by likelihood; or one trained on its error, after the parent that it came from.
+fn read(path: &Path) -> Result<(Model, Option<RecurrentModel>)> {
+    if RecurrentModel::is_kind(&Tensors::read(path)?) {
+        let trained = RecurrentModel::read(path)?;
+        return Ok((trained.parent.clone(), Some(trained)));
     }
     Ok((Model::read(path)?, None))
 }
 
-fn settings(args: &Args, full: bool) -> Result<Settings> {
+fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
     let wants_noise = full || args.noise || !args.noise_system.is_empty() || args.babble.is_some();
     let noise = wants_noise.then(|| -> Result<NoiseSettings> {
         Ok(NoiseSettings {
@@ -182,7 +179,7 @@ fn settings(args: &Args, full: bool) -> Result<Settings> {
             ..NoiseSettings::default()
         })
     });
-    Ok(Settings {
+    Ok(EvaluateSettings {
         resamples: args.resamples as usize,
         seed: args.seed,
         reference: args.against.clone(),

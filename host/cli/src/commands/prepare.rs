@@ -1,14 +1,12 @@
 //! `lipstream prepare`: a corpus to features and eigenmouths.
 use std::path::PathBuf;
-use std::sync::Mutex;
-use std::time::Duration;
 
 use anyhow::Result;
-use indicatif::{ProgressBar, ProgressStyle};
 
+use crate::progress::Terminal;
 use lipstream_make::corpus::discover::Options;
 use lipstream_make::corpus::summary::SplitSummary;
-use lipstream_make::corpus::{self, Settings, Summary, Watch};
+use lipstream_make::corpus::{self, PrepareSettings, Summary};
 
 /// Turn video, sound and labels into features and eigenmouths
 ///
@@ -56,48 +54,8 @@ pub(crate) struct Args {
     json: bool,
 }
 
-/// A progress bar for every pass; hidden where standard error is no terminal.
-#[derive(Default)]
-struct Bar(Mutex<Option<ProgressBar>>);
-
-impl Bar {
-    fn with(&self, act: impl FnOnce(&ProgressBar)) {
-        if let Ok(bar) = self.0.lock()
-            && let Some(bar) = bar.as_ref()
-        {
-            act(bar);
-        }
-    }
-}
-
-impl Watch for Bar {
-    fn begin(&self, what: &str, steps: usize) {
-        let style = ProgressStyle::with_template("{msg:18} {bar:40} {pos}/{len} {per_sec} {eta}")
-            .unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar = ProgressBar::new(steps as u64)
-            .with_style(style)
-            .with_message(what.to_owned());
-        bar.enable_steady_tick(Duration::from_millis(200));
-        if let Ok(mut place) = self.0.lock() {
-            *place = Some(bar);
-        }
-    }
-
-    fn step(&self) {
-        self.with(|bar| bar.inc(1));
-    }
-
-    fn say(&self, line: &str) {
-        self.with(|bar| bar.suspend(|| eprintln!("{line}")));
-    }
-
-    fn end(&self) {
-        self.with(ProgressBar::finish);
-    }
-}
-
 pub(crate) fn run(args: Args) -> Result<()> {
-    let settings = Settings {
+    let settings = PrepareSettings {
         corpus: args.corpus,
         out: args.output,
         clips: Options {
@@ -112,7 +70,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         keep_clip_mean: args.keep_clip_mean,
         fresh: args.fresh,
     };
-    let summary = corpus::prepare(&settings, &Bar::default())?;
+    let summary = corpus::prepare(&settings, &Terminal::default())?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {

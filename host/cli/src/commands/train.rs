@@ -5,13 +5,14 @@ use anyhow::{Context as _, Result, bail};
 
 use super::train_mge;
 use super::train_shards::{self, Shards};
+use crate::progress::Terminal;
 use lipstream::hmm::system::{SYSTEMS, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream_make::align;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train::progress::Progress;
+use lipstream_make::train::resume::Resume;
 use lipstream_make::train::state::State;
-use lipstream_make::train::{self, Settings, shards};
+use lipstream_make::train::{self, TrainSettings, shards};
 
 /// `lipstream train`, whole or in pieces.
 #[derive(Debug, clap::Args)]
@@ -36,19 +37,19 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "MODEL.safetensors", required = true)]
     output: Option<PathBuf>,
     /// System to train
-    #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
+    #[arg(long, default_value = TrainSettings::default().system.name, value_parser = system)]
     system: System,
     /// Most Gaussians per audio state, a power of two; the validation clips choose
-    #[arg(long, default_value_t = Settings::default().audio_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().audio_mixtures)]
     audio_mixtures: usize,
     /// Most Gaussians per visual state, a power of two; the validation clips choose
-    #[arg(long, default_value_t = Settings::default().visual_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().visual_mixtures)]
     visual_mixtures: usize,
     /// EM passes after the start and after every split
-    #[arg(long, default_value_t = Settings::default().iterations)]
+    #[arg(long, default_value_t = TrainSettings::default().iterations)]
     iterations: usize,
     /// Frames of 10 ms that the choice of states waits, beyond the 40 ms of ΔΔ
-    #[arg(long, default_value_t = Settings::default().lag)]
+    #[arg(long, default_value_t = TrainSettings::default().lag)]
     lag: usize,
     /// Train on so many of the clips with video, drawn by the seed [default: all]
     #[arg(long)]
@@ -110,8 +111,8 @@ fn whole(args: Args) -> Result<()> {
         .audio
         .iter()
         .map(|path| FeatureFolder::open(path))
-        .collect::<Result<Vec<_>>>()?;
-    let mut settings = Settings {
+        .collect::<Result<Vec<_>, _>>()?;
+    let mut settings = TrainSettings {
         system: args.system,
         audio_mixtures: args.audio_mixtures,
         visual_mixtures: args.visual_mixtures,
@@ -119,7 +120,7 @@ fn whole(args: Args) -> Result<()> {
         lag: args.lag,
         clips: args.clips,
         seed: args.seed,
-        ..Settings::default()
+        ..TrainSettings::default()
     };
     let mut state_checksum = 0;
     if let Some(path) = &args.state {
@@ -129,21 +130,21 @@ fn whole(args: Args) -> Result<()> {
     let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
     if by_likelihood_first {
         let run = this_run(&folder, &heard, &settings)?;
-        settings.progress = Progress::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
+        settings.resume = Resume::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
     }
     let begun = std::time::Instant::now();
-    let by_likelihood = || train::train(&folder, &heard, &settings, &|line| eprintln!("{line}"));
+    let by_likelihood = || train::train(&folder, &heard, &settings, &Terminal::default());
     match args.method {
         Method::Likelihood => by_likelihood()?.write(output)?,
         Method::Mge => {
-            let twin = match &args.mge.from {
+            let parent = match &args.mge.from {
                 Some(path) => Model::read(path)?,
                 None => by_likelihood()?,
             };
-            train_mge::run(&args.mge, &folder, &heard, &twin, args.clips, args.seed, output)?;
+            train_mge::run(&args.mge, &folder, &heard, &parent, args.clips, args.seed, output)?;
         }
     }
-    settings.progress.finish()?;
+    settings.resume.finish()?;
     eprintln!(
         "wrote {} after {:.0} s",
         output.display(),
@@ -153,7 +154,7 @@ fn whole(args: Args) -> Result<()> {
 }
 
 /// What makes a run this run: the program, the settings, the data.
-fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &Settings) -> Result<String> {
+fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &TrainSettings) -> Result<String> {
     let mut run = format!("{} {settings:?}\n", env!("CARGO_PKG_VERSION"));
     for folder in std::iter::once(folder).chain(heard) {
         run += &format!("{:08x}\n", shards::corpus(folder)?);
@@ -162,14 +163,15 @@ fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &Settings
 }
 
 fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> {
-    let settings = align::train::Settings {
+    let settings = align::train::AudioHmmSettings {
         mixtures: args.audio_mixtures,
         iterations: args.iterations,
-        tolerance: args.tolerance.or(align::train::Settings::default().tolerance),
+        tolerance: args
+            .tolerance
+            .or(align::train::AudioHmmSettings::default().tolerance),
         without: args.without.clone(),
     };
-    let say = |line: &str| eprintln!("{line}");
-    align::train::train(folder, &settings, output.parent(), &say)?.write(output)?;
+    align::train::train(folder, &settings, output.parent(), &Terminal::default())?.write(output)?;
     eprintln!("wrote {}", output.display());
     Ok(())
 }

@@ -4,13 +4,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result};
 
 use super::choices;
+use crate::progress::Terminal;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::context::Context;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::mge::settings::Settings;
+use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::train::train;
 
-/// Settings of `--train mge`; they say nothing about likelihood training.
+/// MgeTrainSettings of `--train mge`; they say nothing about likelihood training.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "With --train mge")]
 #[group(skip)]
@@ -19,70 +20,70 @@ pub(crate) struct Args {
     #[arg(long, value_name = "MODEL.safetensors")]
     pub(crate) from: Option<PathBuf>,
     /// Passes over the clips with video
-    #[arg(long, default_value_t = Settings::default().passes)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().passes)]
     passes: usize,
     /// Clips with video in a batch
-    #[arg(long, default_value_t = Settings::default().batch)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().batch)]
     batch: usize,
     /// Highest learning rate
-    #[arg(long, default_value_t = Settings::default().rule.rate)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().rule.rate)]
     rate: f32,
     /// Part of the way to their rest that maps go in a step
-    #[arg(long, default_value_t = Settings::default().rule.decay)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().rule.decay)]
     decay: f32,
     /// Learning rate of the transitions as a multiple of the common one; 0 leaves them as they are
-    #[arg(long, default_value_t = Settings::default().rule.transition_rate)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().rule.transition_rate)]
     transition_rate: f32,
     /// Numbers left of a frame's context
-    #[arg(long, default_value_t = Settings::default().inputs)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().inputs)]
     inputs: usize,
     /// Numbers in the memory
-    #[arg(long, default_value_t = Settings::default().memory)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().memory)]
     memory: usize,
     /// What the mouth feeds into the visual emissions
-    #[arg(long, value_enum, default_value_t = Settings::default().feedback.into())]
+    #[arg(long, value_enum, default_value_t = MgeTrainSettings::default().feedback.into())]
     feedback: choices::Feedback,
     /// Whose states own maps
-    #[arg(long, value_enum, default_value_t = Settings::default().maps.into())]
+    #[arg(long, value_enum, default_value_t = MgeTrainSettings::default().maps.into())]
     maps: choices::Gate,
     /// Whose states own the memory's rates: audio or visual
-    #[arg(long, value_enum, default_value_t = Settings::default().rates.into())]
+    #[arg(long, value_enum, default_value_t = MgeTrainSettings::default().rates.into())]
     rates: choices::Gate,
     /// Taps of the context in frames of 10 ms, falling; the first is the look-ahead
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, default_values_t = Context::default().taps)]
     taps: Vec<i32>,
     /// Weight of the audio states' cross-entropy towards the forced alignment
-    #[arg(long, default_value_t = Settings::default().audio_entropy)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().audio_entropy)]
     audio_entropy: f32,
     /// The same for the viseme states
-    #[arg(long, default_value_t = Settings::default().visual_entropy)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().visual_entropy)]
     visual_entropy: f32,
     /// The same for the audio states of clips without video
-    #[arg(long, default_value_t = Settings::default().heard_entropy)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().heard_entropy)]
     heard_entropy: f32,
     /// Cross-entropy of phones and visemes instead of their states
     #[arg(long)]
     atoms: bool,
     /// Greatest change of a clip's speed in training: 0.1 plays it 0.9 to 1.1 times as fast
-    #[arg(long, default_value_t = Settings::default().warp)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().warp)]
     warp: f32,
     /// Deviation of the noise on the standardised cepstra, per frame and per clip
-    #[arg(long, default_value_t = Settings::default().frame_noise)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().frame_noise)]
     noise: f32,
     /// Times that every training clip is heard more, with noise, other levels, begun in its middle
-    #[arg(long, default_value_t = Settings::default().variants)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().variants)]
     variants: usize,
     /// Share of the pieces of a batch that are disturbed so
-    #[arg(long, default_value_t = Settings::default().disturbed)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().disturbed)]
     disturbed: f32,
     /// Look-aheads in frames of 10 ms that the model is to serve, up to the first tap; each piece has one of them
-    #[arg(long, value_delimiter = ',', default_values_t = Settings::default().look_aheads)]
+    #[arg(long, value_delimiter = ',', default_values_t = MgeTrainSettings::default().look_aheads)]
     look_aheads: Vec<usize>,
     /// Weight of a mouth parameter in the error: its deviation to this power
-    #[arg(long, default_value_t = Settings::default().error_power)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().error_power)]
     error_power: f32,
     /// Training clips that are validated on instead
-    #[arg(long, default_value_t = Settings::default().hold_out)]
+    #[arg(long, default_value_t = MgeTrainSettings::default().hold_out)]
     hold_out: usize,
     /// Start anew where an interrupted run has left a checkpoint
     #[arg(long)]
@@ -90,8 +91,8 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn settings(&self, clips: Option<usize>, seed: u64) -> Settings {
-        let mut settings = Settings {
+    fn settings(&self, clips: Option<usize>, seed: u64) -> MgeTrainSettings {
+        let mut settings = MgeTrainSettings {
             passes: self.passes,
             batch: self.batch,
             inputs: self.inputs,
@@ -113,7 +114,7 @@ impl Args {
             hold_out: self.hold_out,
             clips,
             seed,
-            ..Settings::default()
+            ..MgeTrainSettings::default()
         };
         settings.context.taps = self.taps.clone();
         settings.rule.rate = self.rate;
@@ -123,12 +124,12 @@ impl Args {
     }
 }
 
-/// Trains from `twin` and writes `output`; the checkpoint lies beside it while training lasts.
+/// Trains from `parent` and writes `output`; the checkpoint lies beside it while training lasts.
 pub(crate) fn run(
     args: &Args,
     folder: &FeatureFolder,
     heard: &[FeatureFolder],
-    twin: &Model,
+    parent: &Model,
     clips: Option<usize>,
     seed: u64,
     output: &Path,
@@ -147,9 +148,8 @@ pub(crate) fn run(
         remove()?;
     }
     let settings = args.settings(clips, seed);
-    let model = train(folder, heard, twin, &settings, Some(&checkpoint), &|line| {
-        eprintln!("{line}");
-    })?;
+    let progress = Terminal::default();
+    let model = train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?;
     model.write(output)?;
     remove()
 }

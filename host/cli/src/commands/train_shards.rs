@@ -4,9 +4,10 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail};
 
 use super::train::system;
+use crate::progress::Terminal;
 use lipstream::hmm::system::System;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train::Settings;
+use lipstream_make::train::TrainSettings;
 use lipstream_make::train::shards::{self, Splitting};
 
 /// EM in pieces.
@@ -26,7 +27,7 @@ pub(crate) struct Start {
     #[arg(long, value_name = "DIR")]
     audio: Vec<PathBuf>,
     /// System to train
-    #[arg(long, default_value = Settings::default().system.name, value_parser = system)]
+    #[arg(long, default_value = TrainSettings::default().system.name, value_parser = system)]
     system: System,
     /// State to write
     #[arg(short, long, value_name = "STATE")]
@@ -65,10 +66,10 @@ pub(crate) struct Merge {
     #[arg(long)]
     split: bool,
     /// Most Gaussians per audio state when splitting
-    #[arg(long, default_value_t = Settings::default().audio_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().audio_mixtures)]
     audio_mixtures: usize,
     /// Most Gaussians per visual state when splitting
-    #[arg(long, default_value_t = Settings::default().visual_mixtures)]
+    #[arg(long, default_value_t = TrainSettings::default().visual_mixtures)]
     visual_mixtures: usize,
 }
 
@@ -84,7 +85,7 @@ fn shard(text: &str) -> Result<(usize, usize)> {
 }
 
 pub(crate) fn run(command: Shards) -> Result<()> {
-    let say = |line: &str| eprintln!("{line}");
+    let progress = Terminal::default();
     match command {
         Shards::Start(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
@@ -92,13 +93,13 @@ pub(crate) fn run(command: Shards) -> Result<()> {
                 .audio
                 .iter()
                 .map(|path| FeatureFolder::open(path))
-                .collect::<Result<Vec<_>>>()?;
-            shards::start(&folder, &others, args.system, &say)?.write(&args.output)?;
+                .collect::<Result<Vec<_>, _>>()?;
+            shards::start(&folder, &others, args.system, &progress)?.write(&args.output)?;
             eprintln!("wrote {}", args.output.display());
         }
         Shards::Accumulate(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
-            let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &say)?;
+            let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &progress)?;
             eprintln!(
                 "wrote {}: {} frames, log likelihood {:.4} a frame, {} clips without a path",
                 args.output.display(),

@@ -2,7 +2,7 @@
 //! out of any model with a mouth.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
+use crate::error::{Context as _, Error, Result, bail};
 use lipstream_core::{N_OBSERVATION, N_STATIC};
 use ndarray::{Array1, Array3};
 
@@ -11,7 +11,7 @@ use lipstream::hmm::joint::{N_EMITTING, choice};
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
 use lipstream::tensors::{Tensors, TensorsBuilder};
 
@@ -75,14 +75,14 @@ impl AudioHmm {
         })
     }
 
-    /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained twin.
+    /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained parent.
     pub fn read(path: &Path) -> Result<Self> {
-        let tensors = Tensors::read(path)?;
-        if MgeModel::is_kind(&tensors) {
-            return Self::of_model(&MgeModel::read(path)?.twin);
+        let tensors = Tensors::read(path).map_err(Error::other)?;
+        if RecurrentModel::is_kind(&tensors) {
+            return Self::of_model(&RecurrentModel::read(path).map_err(Error::other)?.parent);
         }
-        if tensors.noted::<String>("kind")? != KIND {
-            return Self::of_model(&Model::read(path)?);
+        if tensors.noted::<String>("kind").map_err(Error::other)? != KIND {
+            return Self::of_model(&Model::read(path).map_err(Error::other)?);
         }
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable audio HMM", path.display()))
     }
@@ -101,34 +101,37 @@ impl AudioHmm {
         out.put("audio.log_weight", &self.audio.log_weight);
         out.put("transition", &self.transition);
         out.put("shifts", &self.shifts.0);
-        out.write(path)
+        out.write(path).map_err(Error::other)
     }
 
     fn from_tensors(from: &Tensors) -> Result<Self> {
-        let version: u32 = from.noted("version")?;
+        let version: u32 = from.noted("version").map_err(Error::other)?;
         if version != VERSION {
-            bail!("version {version}, this program reads {VERSION}: train it again");
+            bail!(
+                File,
+                "version {version}, this program reads {VERSION}: train it again"
+            );
         }
-        let names: String = from.noted("phones")?;
+        let names: String = from.noted("phones").map_err(Error::other)?;
         let phones: Vec<Phone> = names
             .split_whitespace()
-            .map(|name| Phone::from_name(name).with_context(|| format!("unknown phone {name:?}")))
+            .map(|name| Phone::from_name(name).ok_or_else(|| Error::File(format!("unknown phone {name:?}"))))
             .collect::<Result<_>>()?;
         let hmm = Self {
-            start_mean: start_mean(&from.array("start_mean")?)?,
+            start_mean: start_mean(&from.array("start_mean").map_err(Error::other)?)?,
             audio: Mixtures {
-                mean: from.array("audio.mean")?,
-                variance: from.array("audio.variance")?,
-                log_weight: from.array("audio.log_weight")?,
+                mean: from.array("audio.mean").map_err(Error::other)?,
+                variance: from.array("audio.variance").map_err(Error::other)?,
+                log_weight: from.array("audio.log_weight").map_err(Error::other)?,
             },
-            transition: from.array("transition")?,
-            shifts: Shifts(from.array("shifts")?),
-            acoustic_scale: from.noted("acoustic_scale")?,
-            provenance: from.noted("provenance")?,
+            transition: from.array("transition").map_err(Error::other)?,
+            shifts: Shifts(from.array("shifts").map_err(Error::other)?),
+            acoustic_scale: from.noted("acoustic_scale").map_err(Error::other)?,
+            provenance: from.noted("provenance").map_err(Error::other)?,
             phones,
         };
         if !(hmm.acoustic_scale > 0.0 && hmm.acoustic_scale <= 1.0) {
-            bail!("the acoustic scale {} is not in (0, 1]", hmm.acoustic_scale);
+            bail!(File, "the acoustic scale {} is not in (0, 1]", hmm.acoustic_scale);
         }
         let (states, components, size) = hmm.audio.mean.dim();
         let fits = states == hmm.phones.len() * N_EMITTING
@@ -140,10 +143,10 @@ impl AudioHmm {
             && hmm.transition.dim() == (hmm.phones.len(), N_EMITTING, 4)
             && hmm.shifts.0.dim() == Shifts::default().0.dim();
         if !fits {
-            bail!("the shapes of its tensors do not agree");
+            bail!(File, "the shapes of its tensors do not agree");
         }
         if hmm.audio.variance.iter().any(|v| *v <= 0.0) {
-            bail!("it holds a variance that is not positive");
+            bail!(File, "it holds a variance that is not positive");
         }
         Ok(hmm)
     }
@@ -152,6 +155,6 @@ impl AudioHmm {
 fn start_mean(mean: &Array1<f32>) -> Result<[f32; N_STATIC]> {
     match mean.as_slice().and_then(|s| s.try_into().ok()) {
         Some(mean) => Ok(mean),
-        None => bail!("the start mean is not {N_STATIC} numbers"),
+        None => bail!(File, "the start mean is not {N_STATIC} numbers"),
     }
 }

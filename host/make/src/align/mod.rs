@@ -4,10 +4,10 @@
 //! Viterbi. Sound is analysed every 5 ms instead of every 10, as two interleaved streams of the ordinary front end, so that
 //! the densities are those of any model while five states take 25 ms and borders fall on a finer grid. What is left of
 //! each kind of border's mean error on the training speakers is taken off ([`Shifts`]).
-use anyhow::{Context as _, Result, bail};
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC, SAMPLE_RATE_HZ};
 use ndarray::Array2;
 
+use crate::error::{Error, Result, bail};
 use crate::features::{PhoneLabel, Word};
 use lipstream::hmm::evaluator::Evaluator;
 use lipstream::hmm::evaluator::Likelihoods;
@@ -116,7 +116,7 @@ impl<'a> Aligner<'a> {
     /// Aligns words with 16 kHz mono samples.
     pub fn words(&self, samples: &[i16], words: &[Word]) -> Result<Alignment> {
         if words.is_empty() {
-            bail!("no words to align: give a transcript");
+            bail!(Choice, "no words to align: give a transcript");
         }
         let lacking = |phone: &String| Phone::from_name(phone).and_then(|p| self.index(p)).is_none();
         if let Some(word) = words
@@ -124,13 +124,15 @@ impl<'a> Aligner<'a> {
             .find(|w| w.pronunciations.iter().all(|p| p.iter().any(lacking)))
         {
             bail!(
+                Data,
                 "the model has never heard a phone of {:?} ({}): train it on more speech",
                 word.text,
                 word.pronunciations[0].join(" ")
             );
         }
-        let network = PhoneNetwork::transcript(words, &|p| self.index(p))
-            .context("the model has no phone for silence, or the text has no words")?;
+        let network = PhoneNetwork::transcript(words, &|p| self.index(p)).ok_or_else(|| {
+            Error::Data("the model has no phone for silence, or the text has no words".into())
+        })?;
         let mut alignment = self.network(samples, &network)?;
         for (number, word) in words.iter().enumerate() {
             let said = |p: &&mut Spoken| p.word == Some(number);
@@ -157,10 +159,12 @@ impl<'a> Aligner<'a> {
         let mut said: Vec<usize> = Vec::new();
         for label in phones {
             let index = Phone::from_name(&label.phone).and_then(|p| self.index(p));
-            said.push(index.with_context(|| format!("the model has never heard the phone {}", label.phone))?);
+            said.push(index.ok_or_else(|| {
+                Error::Data(format!("the model has never heard the phone {}", label.phone))
+            })?);
         }
         if said.is_empty() {
-            bail!("no phones to align");
+            bail!(Choice, "no phones to align");
         }
         self.network(samples, &PhoneNetwork::chain(&said))
     }
@@ -172,6 +176,7 @@ impl<'a> Aligner<'a> {
         let fewest = network.shortest(N_EMITTING);
         if fewest > frames {
             bail!(
+                Data,
                 "{duration:.2} s are too short for this text, which takes {:.2} s at least: is it this sound's?",
                 border_time(fewest)
             );
@@ -185,7 +190,7 @@ impl<'a> Aligner<'a> {
         );
         let emission = |t: usize, s: usize| self.hmm.acoustic_scale * f64::from(log.log(t, s));
         let (path, _) = viterbi(&graph, &probability, frames, &emission)
-            .context("no way of saying this text fits the sound")?;
+            .ok_or_else(|| Error::Data("no way of saying this text fits the sound".into()))?;
         let mut phones: Vec<Spoken> = Vec::new();
         let (mut begun, mut total) = (Vec::new(), 0.0);
         for (t, &s) in path.iter().enumerate() {

@@ -43,17 +43,17 @@ impl Shifts {
         let mut out = Self::default();
         for before in 0..CLASSES.len() {
             for after in 0..CLASSES.len() {
-                let mut all: Vec<f64> = borders
+                let mut off: Vec<f64> = borders
                     .iter()
                     .filter(|b| (b.0, b.1) == (before, after))
                     .map(|b| b.2)
                     .collect();
-                if all.is_empty() {
+                if off.is_empty() {
                     continue;
                 }
-                all.sort_by(f64::total_cmp);
-                let n = all.len() as f64;
-                out.0[[before, after]] = (all[all.len() / 2] * n / (n + SHRINK)) as f32;
+                off.sort_by(f64::total_cmp);
+                let n = off.len() as f64;
+                out.0[[before, after]] = (off[off.len() / 2] * n / (n + SHRINK)) as f32;
             }
         }
         out

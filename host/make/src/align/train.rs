@@ -6,7 +6,6 @@ use std::borrow::Cow;
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
 use lipstream_core::N_OBSERVATION;
 use ndarray::Array2;
 use rayon::prelude::*;
@@ -15,17 +14,19 @@ use super::{Aligner, AudioHmm, Shifts, frame_time, observations, shifts};
 use crate::em;
 use crate::em::density;
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::shelf::Shelf;
-use crate::train::{Say, data};
+use crate::train::data;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 use lipstream_media::sound;
 
 /// Choices of a training run.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct AudioHmmSettings {
     /// Gaussians per state, a power of two.
     pub mixtures: usize,
     /// EM passes after the start and after every split.
@@ -36,7 +37,7 @@ pub struct Settings {
     pub without: Vec<String>,
 }
 
-impl Default for Settings {
+impl Default for AudioHmmSettings {
     fn default() -> Self {
         Self {
             mixtures: 4,
@@ -51,12 +52,13 @@ impl Default for Settings {
 /// memory.
 pub fn train(
     folder: &FeatureFolder,
-    settings: &Settings,
+    settings: &AudioHmmSettings,
     aside: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<AudioHmm> {
     if !settings.mixtures.is_power_of_two() {
         bail!(
+            Choice,
             "mixtures grow by splitting: {} components are not a power of two",
             settings.mixtures
         );
@@ -66,14 +68,18 @@ pub fn train(
         .filter(|c| !settings.without.contains(&c.speaker))
         .collect();
     let phones = data::phones_said(clips.iter().copied());
-    let utterances = Sounds::hear(folder, clips, &phones, aside, say)?;
+    let utterances = Sounds::hear(folder, clips, &phones, aside, progress)?;
     if utterances.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let used = &utterances.clips;
     let labelled = used.iter().all(|c| !c.phones.is_empty());
     let tolerance = settings.tolerance.filter(|_| labelled);
-    say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
+    progress.say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
     let (mut parameters, mut floors, _) = em::start(&utterances, Topology::PH_HMM, &phones)?;
     floors.variance *= FLOOR;
     floors.occupancy = LEAST_FRAMES;
@@ -83,15 +89,15 @@ pub fn train(
             let begun = Instant::now();
             let sums = em::expect_from(&parameters, &utterances, 0..utterances.len(), tolerance)?;
             if sums.frames == 0 {
-                bail!("no utterance fits its transcript: check the labels");
+                bail!(Data, "no utterance fits its transcript: check the labels");
             }
             if last.is_none() && parameters.audio.mean.dim().1 == 1 {
                 em::warnings(&parameters, &sums, &floors)
                     .iter()
-                    .for_each(|line| say(line));
+                    .for_each(|line| progress.say(line));
             }
             em::maximise(&mut parameters, &sums, &floors, None);
-            say(&format!(
+            progress.say(&format!(
                 "  K = {}: log likelihood {:.4} a frame, {} clips without a path ({:.1} s)",
                 parameters.audio.mean.dim().1,
                 sums.per_frame(),
@@ -146,13 +152,13 @@ struct Sounds<'a> {
 }
 
 impl<'a> Sounds<'a> {
-    /// Hears the clips that can be used; `say` names the others.
+    /// Hears the clips that can be used; `progress` hears of the others.
     fn hear(
         folder: &FeatureFolder,
         clips: Vec<&'a Clip>,
         phones: &'a [Phone],
         aside: Option<&Path>,
-        say: Say,
+        progress: &dyn Progress,
     ) -> Result<Self> {
         let mut sounds = Self {
             clips: Vec::new(),
@@ -167,7 +173,7 @@ impl<'a> Sounds<'a> {
                     sounds.heard.push(audio.into_raw_vec_and_offset().0)?;
                     sounds.clips.push(clip);
                 }
-                Err(error) => say(&format!("left out: {error:#}")),
+                Err(error) => progress.say(&format!("left out: {}", chain(&error))),
             }
             Ok(())
         })?;
@@ -190,7 +196,9 @@ impl Source for Sounds<'_> {
 
 /// The observations of a clip that can be used, `[frames, 39]`.
 fn hear(folder: &FeatureFolder, clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Array2<f32>> {
-    let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+    let samples = sound::read(&folder.wav_path(&clip.id))
+        .map_err(Error::other)?
+        .samples;
     let mut start_mean = [0.0; lipstream_core::N_STATIC];
     start_mean.copy_from_slice(&folder.manifest.start_mean);
     Ok(utterance(clip, observations(&samples, start_mean), index)?.audio)
@@ -198,10 +206,10 @@ fn hear(folder: &FeatureFolder, clip: &Clip, index: &dyn Fn(Phone) -> Option<usi
 
 fn utterance(clip: &Clip, audio: Array2<f32>, index: &dyn Fn(Phone) -> Option<usize>) -> Result<Utterance> {
     let (Some(network), Some(silence)) = (data::network(clip, index), index(Phone::SIL)) else {
-        bail!("clip {}: it has no labels and no transcript", clip.id);
+        bail!(Data, "clip {}: it has no labels and no transcript", clip.id);
     };
     if network.shortest(N_EMITTING) > audio.nrows() {
-        bail!("clip {}: too short for its phones", clip.id);
+        bail!(Data, "clip {}: too short for its phones", clip.id);
     }
     let mut start = vec![(silence, N_EMITTING / 2); audio.nrows()];
     for label in data::timed_phones(clip) {
@@ -232,7 +240,9 @@ fn learn_shifts(folder: &FeatureFolder, clips: &[&Clip], hmm: &AudioHmm) -> Resu
     let borders: Vec<Vec<(usize, usize, f64)>> = clips
         .par_iter()
         .map(|clip| {
-            let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+            let samples = sound::read(&folder.wav_path(&clip.id))
+                .map_err(Error::other)?
+                .samples;
             let Ok(alignment) = aligner.phones(&samples, &clip.phones) else {
                 return Ok(Vec::new());
             };

@@ -2,7 +2,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use anyhow::Result;
+use crate::error::{Error, Result};
 use lipstream_core::SAMPLE_RATE_HZ;
 use serde::Serialize;
 
@@ -46,13 +46,14 @@ impl Format {
 
     /// Writes `alignment` to `path` (and its words beside it where the format has them apart).
     pub fn write(self, path: &Path, alignment: &Alignment) -> Result<()> {
+        let put = |path: &Path, bytes: &[u8]| files::write_bytes(path, bytes).map_err(Error::other);
         match self {
-            Format::Lab => files::write_bytes(path, lab(alignment).as_bytes()),
-            Format::Textgrid => files::write_bytes(path, textgrid(alignment).as_bytes()),
-            Format::Json => files::write_bytes(path, &json(alignment)?),
+            Format::Lab => put(path, lab(alignment).as_bytes()),
+            Format::Textgrid => put(path, textgrid(alignment).as_bytes()),
+            Format::Json => put(path, &json(alignment)?),
             Format::Phn => {
-                files::write_bytes(path, phn(alignment).as_bytes())?;
-                files::write_bytes(&path.with_extension("wrd"), wrd(alignment).as_bytes())
+                put(path, phn(alignment).as_bytes())?;
+                put(&path.with_extension("wrd"), wrd(alignment).as_bytes())
             }
         }
     }

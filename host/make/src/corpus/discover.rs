@@ -11,9 +11,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Component, Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
-
 use super::labels;
+use crate::error::{Context as _, Result, bail};
 use crate::features::Split;
 
 /// Extensions of video files; their sound comes with them, or from a sound file beside them.
@@ -39,7 +38,7 @@ pub struct Options {
 
 /// The files of one clip.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Source {
+pub struct ClipFiles {
     /// Unique, safe as a file name: the stem, or the path where stems repeat.
     pub id: String,
     pub speaker: String,
@@ -52,7 +51,7 @@ pub struct Source {
     pub stem: String,
 }
 
-impl Source {
+impl ClipFiles {
     /// The file that the sound comes from.
     pub fn sound_path(&self) -> &Path {
         self.sound
@@ -66,7 +65,7 @@ impl Source {
 #[derive(Clone, Debug, Default)]
 pub struct Found {
     /// Sorted by id.
-    pub clips: Vec<Source>,
+    pub clips: Vec<ClipFiles>,
     /// Files that belong to no clip.
     pub left_alone: Vec<PathBuf>,
     /// Whether the split came from folders or options; else it was drawn by speaker or by clip.
@@ -101,6 +100,7 @@ struct Group {
 pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Result<Found> {
     if !root.is_dir() {
         bail!(
+            Choice,
             "{} is no folder; give the folder of a corpus (clips as video or WAV, labels beside them)",
             root.display()
         );
@@ -112,6 +112,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
     let (groups, left_alone) = group(root, files)?;
     if groups.is_empty() {
         bail!(
+            Data,
             "{} holds no clips: looked for {} and {} files in it and the folders below",
             root.display(),
             VIDEO[..5].join(", "),
@@ -124,7 +125,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
         .ok()
         .and_then(|p| Some(p.file_name()?.to_string_lossy().into_owned()))
         .unwrap_or_else(|| "corpus".into());
-    let mut clips: Vec<Source> = groups
+    let mut clips: Vec<ClipFiles> = groups
         .into_iter()
         .zip(ids)
         .map(|(group, id)| {
@@ -138,7 +139,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
                 .iter()
                 .find_map(|e| group.sounds.iter().find(|p| extension(p).as_deref() == Some(e)))
                 .cloned();
-            Source {
+            ClipFiles {
                 id,
                 speaker,
                 split: group.split.unwrap_or(Split::Train),
@@ -162,7 +163,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
 /// All files below `folder` but hidden ones.
 fn walk(folder: &Path, without: Option<&Path>, depth: usize, out: &mut Vec<PathBuf>) -> Result<()> {
     if depth > 32 {
-        bail!("{}: folders are nested too deep", folder.display());
+        bail!(Data, "{}: folders are nested too deep", folder.display());
     }
     let entries = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
     for entry in entries {
@@ -173,7 +174,7 @@ fn walk(folder: &Path, without: Option<&Path>, depth: usize, out: &mut Vec<PathB
         }
         // Follows links: corpora are often linked together.
         let Ok(meta) = std::fs::metadata(&path) else {
-            bail!("{}: a link that leads nowhere", path.display());
+            bail!(Data, "{}: a link that leads nowhere", path.display());
         };
         if meta.is_dir() {
             if without.is_some_and(|w| path.canonicalize().is_ok_and(|p| p == w)) {
@@ -220,6 +221,7 @@ fn group(root: &Path, files: Vec<PathBuf>) -> Result<(Vec<Group>, Vec<PathBuf>)>
         }
         if videos.len() > 1 {
             bail!(
+                Data,
                 "{} and {} would be the same clip: keep one",
                 videos[0].display(),
                 videos[1].display()
@@ -314,7 +316,7 @@ fn percentile(name: &str) -> u32 {
 /// Settles every clip's split. Without folders and options: by speaker where there are at least five, by clip
 /// where there are at least ten of fewer speakers, else everything is for training. Speakers or clips are put in
 /// the order of a hash of their names; the first tenth (at least one) is for the test, the next for validation.
-fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<SplitBy> {
+fn deal(clips: &mut [ClipFiles], from_folders: bool, options: &Options) -> Result<SplitBy> {
     if options.all_train {
         clips.iter_mut().for_each(|c| c.split = Split::Train);
         return Ok(SplitBy::AllTrain);
@@ -325,6 +327,7 @@ fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<S
             if !speakers.contains(name) {
                 let known: Vec<_> = speakers.iter().take(5).map(String::as_str).collect();
                 bail!(
+                    Choice,
                     "no speaker is called {name:?}; there are {} (and so on)",
                     known.join(", ")
                 );
@@ -335,7 +338,10 @@ fn deal(clips: &mut [Source], from_folders: bool, options: &Options) -> Result<S
             .iter()
             .find(|s| options.val_speakers.contains(s))
         {
-            bail!("{both:?} cannot be a test speaker and a validation speaker at once");
+            bail!(
+                Choice,
+                "{both:?} cannot be a test speaker and a validation speaker at once"
+            );
         }
         for clip in clips.iter_mut() {
             clip.split = if options.test_speakers.contains(&clip.speaker) {

@@ -9,5 +9,5 @@ mod stamp;
 pub mod summary;
 mod visual;
 
-pub use prepare::{Settings, Watch, prepare};
+pub use prepare::{PrepareSettings, prepare};
 pub use summary::Summary;

@@ -6,17 +6,18 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
 use rayon::prelude::*;
 
-use super::discover::{self, Found, Source};
+use super::discover::{self, ClipFiles, Found};
 use super::labels::{self, Labels, SpokenWord, transcript};
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
 use super::summary::{self, Summary};
 use super::visual;
+use crate::error::{Context as _, Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
 use lipstream::npy;
+use lipstream::progress::{Progress, Steps};
 use lipstream::reference::{self, Normalisation, SpeechMean};
 use lipstream_media::video;
 use lipstream_media::{files, sound};
@@ -29,7 +30,7 @@ const CLIPS_PER_THREAD: usize = 4;
 
 /// What to prepare and how.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct PrepareSettings {
     pub corpus: PathBuf,
     pub out: PathBuf,
     pub clips: discover::Options,
@@ -45,7 +46,7 @@ pub struct Settings {
     pub fresh: bool,
 }
 
-impl Default for Settings {
+impl Default for PrepareSettings {
     fn default() -> Self {
         Self {
             corpus: PathBuf::new(),
@@ -60,30 +61,11 @@ impl Default for Settings {
     }
 }
 
-/// Who is told how the work goes on.
-pub trait Watch: Sync {
-    /// A pass of `steps` steps begins.
-    fn begin(&self, what: &str, steps: usize);
-    fn step(&self);
-    /// Something that the user must hear now, such as a clip that cannot be read.
-    fn say(&self, line: &str);
-    /// The pass is over.
-    fn end(&self);
-}
-
-/// Nobody.
-impl Watch for () {
-    fn begin(&self, _: &str, _: usize) {}
-    fn step(&self) {}
-    fn say(&self, _: &str) {}
-    fn end(&self) {}
-}
-
 /// A clip on its way: its manifest entry and where its pronunciations came from.
 pub(super) struct Prepared {
-    pub(super) source: Source,
+    pub(super) source: ClipFiles,
     pub(super) clip: Clip,
-    pub(super) words: BTreeMap<String, pronounce::Source>,
+    pub(super) words: BTreeMap<String, pronounce::Origin>,
     pub(super) named_sentence: bool,
     pub(super) seconds: f64,
     sound_stamp: String,
@@ -92,7 +74,7 @@ pub(super) struct Prepared {
 #[cfg(test)]
 impl Prepared {
     /// A clip with nothing but its files and its length.
-    pub(super) fn bare(source: Source, seconds: f64) -> Self {
+    pub(super) fn bare(source: ClipFiles, seconds: f64) -> Self {
         Self {
             clip: Clip {
                 id: source.id.clone(),
@@ -114,23 +96,24 @@ impl Prepared {
 }
 
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
-pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
+pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
     let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
-    let decodes = |c: &Source| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
+    let decodes =
+        |c: &ClipFiles| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
     if found.clips.iter().any(decodes) {
-        video::available()?;
+        video::available().map_err(Error::other)?;
     }
     claim(&settings.out, settings.fresh)?;
 
     let mut skipped = Vec::new();
-    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, watch, &mut skipped)?;
-    observe(&clips, &settings.out, start_mean, watch)?;
+    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, progress, &mut skipped)?;
+    observe(&clips, &settings.out, start_mean, progress)?;
     let visual_size = if settings.audio_only {
         0
     } else {
-        visual::see(&mut clips, settings, watch, &mut skipped)?
+        visual::see(&mut clips, settings, progress, &mut skipped)?
     };
 
     clips.sort_by(|a, b| a.clip.id.cmp(&b.clip.id));
@@ -147,7 +130,7 @@ pub fn prepare(settings: &Settings, watch: &dyn Watch) -> Result<Summary> {
         .context("the manifest that was made is unsound")?;
     sweep(settings, &manifest)?;
     let text = serde_json::to_vec_pretty(&manifest)?;
-    files::write_bytes(&settings.out.join("manifest.json"), &text)?;
+    files::write_bytes(&settings.out.join("manifest.json"), &text).map_err(Error::other)?;
     let mut summary = summary::summarise(settings, &found, &clips, manifest);
     summary.seconds_taken = began.elapsed().as_secs_f64();
     Ok(summary)
@@ -162,6 +145,7 @@ fn claim(out: &Path, fresh: bool) -> Result<()> {
             .is_some();
         if occupied && !out.join("manifest.json").is_file() && !out.join("cache").is_dir() {
             bail!(
+                Choice,
                 "{} is not empty and no feature folder; give a new folder",
                 out.display()
             );
@@ -181,21 +165,21 @@ fn claim(out: &Path, fresh: bool) -> Result<()> {
 }
 
 /// One line of an error, for the manifest and the user's terminal.
-pub(super) fn reason(error: &anyhow::Error) -> String {
-    format!("{error:#}").lines().collect::<Vec<_>>().join("; ")
+pub(super) fn reason(error: &Error) -> String {
+    chain(error).lines().collect::<Vec<_>>().join("; ")
 }
 
 /// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
 fn listen(
     found: &Found,
-    settings: &Settings,
+    settings: &PrepareSettings,
     pronouncer: &Pronouncer,
-    watch: &dyn Watch,
+    progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<(Vec<Prepared>, [f32; lipstream_core::N_STATIC])> {
     let (mut train, mut others) = (SpeechMean::default(), SpeechMean::default());
     let mut clips = Vec::with_capacity(found.clips.len());
-    watch.begin("sound and labels", found.clips.len());
+    let steps = Steps::begin(progress, "sound and labels", found.clips.len());
     for some in found
         .clips
         .chunks(CLIPS_PER_THREAD * rayon::current_num_threads())
@@ -205,13 +189,13 @@ fn listen(
             .map(|source| {
                 let result = listen_to(source, &settings.out, pronouncer);
                 if let Err(error) = &result {
-                    watch.say(&format!(
+                    progress.say(&format!(
                         "skipped {}: {}",
                         source.sound_path().display(),
                         reason(error)
                     ));
                 }
-                watch.step();
+                steps.made();
                 result
             })
             .collect();
@@ -234,26 +218,26 @@ fn listen(
             }
         }
     }
-    watch.end();
     if clips.is_empty() {
         bail!(
+            Data,
             "none of the {} clips in {} can be read (the first: {})",
             found.clips.len(),
             settings.corpus.display(),
             skipped.first().map_or("", |s| s.reason.as_str())
         );
     }
-    let mean = train.mean().or(others.mean()).with_context(|| {
-        format!(
+    let mean = train.mean().or(others.mean()).ok_or_else(|| {
+        Error::Data(format!(
             "no speech is heard in the {} clips: all of them are silent or steady noise",
             clips.len()
-        )
+        ))
     })?;
     Ok((clips, mean))
 }
 
 fn listen_to(
-    source: &Source,
+    source: &ClipFiles,
     out: &Path,
     pronouncer: &Pronouncer,
 ) -> Result<(Prepared, ndarray::Array2<f64>)> {
@@ -261,7 +245,7 @@ fn listen_to(
     let samples = sound(source, out, &sound_stamp)?;
     let seconds = samples.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
     if seconds < SHORTEST_S {
-        bail!("{seconds:.3} s of sound are too short");
+        bail!(Data, "{seconds:.3} s of sound are too short");
     }
     let mut labels = labels::read(&source.labels, seconds)?;
     let named_sentence = labels == Labels::default() && source.labels.is_empty();
@@ -309,7 +293,7 @@ fn listen_to(
 fn spoken(
     word: &SpokenWord,
     pronouncer: &Pronouncer,
-    from: &mut BTreeMap<String, pronounce::Source>,
+    from: &mut BTreeMap<String, pronounce::Origin>,
 ) -> Result<Word> {
     let (spoken, source) = pronouncer.spoken(word)?;
     from.insert(word.text.clone(), source);
@@ -317,20 +301,22 @@ fn spoken(
 }
 
 /// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.
-fn sound(source: &Source, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
+fn sound(source: &ClipFiles, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let path = out.join("wav").join(format!("{}.wav", source.id));
     let notes = Notes::new(out, &source.id);
     if notes.vouched("sound", sound_stamp, &path).is_some() {
-        return Ok(sound::read(&path)?.samples);
+        return Ok(sound::read(&path).map_err(Error::other)?.samples);
     }
     notes.forget("sound");
     let from = source.sound_path();
     let samples = if is_read_here(from) {
-        sound::read(from)?.samples
+        sound::read(from).map_err(Error::other)?.samples
     } else {
-        sound::decode(&video::decode_sound(from)?)?.samples
+        sound::decode(&video::decode_sound(from).map_err(Error::other)?)
+            .map_err(Error::other)?
+            .samples
     };
-    sound::write(&path, &samples)?;
+    sound::write(&path, &samples).map_err(Error::other)?;
     notes.note("sound", sound_stamp)?;
     Ok(samples)
 }
@@ -346,9 +332,9 @@ fn observe(
     clips: &[Prepared],
     out: &Path,
     start_mean: [f32; lipstream_core::N_STATIC],
-    watch: &dyn Watch,
+    progress: &dyn Progress,
 ) -> Result<()> {
-    watch.begin("audio features", clips.len());
+    let steps = Steps::begin(progress, "audio features", clips.len());
     let mean: Vec<String> = start_mean
         .iter()
         .map(|v| format!("{:08x}", v.to_bits()))
@@ -357,10 +343,9 @@ fn observe(
     clips.par_iter().try_for_each(|prepared| {
         observe_one(prepared, out, &mean.concat(), normalisation)
             .with_context(|| format!("audio features of {}", prepared.source.sound_path().display()))?;
-        watch.step();
-        Ok::<(), anyhow::Error>(())
+        steps.made();
+        Ok::<(), Error>(())
     })?;
-    watch.end();
     Ok(())
 }
 
@@ -373,13 +358,15 @@ fn observe_one(prepared: &Prepared, out: &Path, mean: &str, normalisation: Norma
         return Ok(());
     }
     notes.forget("audio");
-    let samples = sound::read(&out.join("wav").join(format!("{id}.wav")))?.samples;
-    npy::write_npy(&path, &reference::observations(&samples, normalisation))?;
+    let samples = sound::read(&out.join("wav").join(format!("{id}.wav")))
+        .map_err(Error::other)?
+        .samples;
+    npy::write_npy(&path, &reference::observations(&samples, normalisation)).map_err(Error::other)?;
     notes.note("audio", &stamp)
 }
 
 /// Removes what earlier runs made for clips that are no longer there.
-fn sweep(settings: &Settings, manifest: &Manifest) -> Result<()> {
+fn sweep(settings: &PrepareSettings, manifest: &Manifest) -> Result<()> {
     let out = settings.out.as_path();
     let ids: BTreeSet<&str> = manifest.clips.iter().map(|c| c.id.as_str()).collect();
     let seen: BTreeSet<&str> = manifest

@@ -5,8 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
-use anyhow::{Context, Result};
-
+use crate::error::{Context as _, Error, Result};
 use lipstream_media::files;
 
 /// Changes when files of the same inputs and settings come out differently.
@@ -72,6 +71,7 @@ impl Notes {
     /// [`Notes::note`] with something about the product to remember.
     pub(super) fn note_with(&self, kind: &str, stamp: &str, about: &str) -> Result<()> {
         files::write_bytes(&self.path(kind), format!("{VERSION} {stamp}\n{about}").as_bytes())
+            .map_err(Error::other)
     }
 }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 
 use super::discover::{Found, SplitBy};
-use super::prepare::{Prepared, Settings};
+use super::prepare::{PrepareSettings, Prepared};
 use super::pronounce;
 use crate::features::{Clip, Manifest, Skipped, Split};
 use lipstream::phones::Phone;
@@ -52,7 +52,7 @@ pub struct Summary {
 
 /// Counts what was prepared; the time taken is the caller's to fill in.
 pub(super) fn summarise(
-    settings: &Settings,
+    settings: &PrepareSettings,
     found: &Found,
     clips: &[Prepared],
     manifest: Manifest,
@@ -67,7 +67,7 @@ pub(super) fn summarise(
             words: of.iter().map(|c| c.clip.words.len()).sum(),
         }
     };
-    let mut words: BTreeMap<&str, pronounce::Source> = BTreeMap::new();
+    let mut words: BTreeMap<&str, pronounce::Origin> = BTreeMap::new();
     let mut phones: BTreeMap<String, usize> = BTreeMap::new();
     for prepared in clips {
         words.extend(prepared.words.iter().map(|(w, s)| (w.as_str(), *s)));
@@ -98,10 +98,10 @@ pub(super) fn summarise(
             .filter(|c| c.clip.words.is_empty() && c.clip.phones.is_empty())
             .count(),
         named_sentences: clips.iter().filter(|c| c.named_sentence).count(),
-        words_from_user_dictionary: from(pronounce::Source::User).count(),
-        words_from_dictionary: from(pronounce::Source::Dictionary).count(),
-        words_inflected: from(pronounce::Source::Inflected).count(),
-        words_by_rule: from(pronounce::Source::Letters)
+        words_from_user_dictionary: from(pronounce::Origin::User).count(),
+        words_from_dictionary: from(pronounce::Origin::Dictionary).count(),
+        words_inflected: from(pronounce::Origin::Inflected).count(),
+        words_by_rule: from(pronounce::Origin::Letters)
             .map(|(w, _)| (*w).to_owned())
             .collect(),
         phones_missing: Phone::all()

@@ -7,16 +7,17 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::OnceLock;
 
-use anyhow::{Context, Result, anyhow, bail};
 use ndarray::Array4;
 use rayon::prelude::*;
 
-use super::prepare::{Prepared, Settings, Watch, reason};
+use super::prepare::{PrepareSettings, Prepared, reason};
 use super::stamp::{self, Notes};
+use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{self, Skipped, Split};
 use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
 use lipstream::mouth::MouthSpace;
 use lipstream::npy;
+use lipstream::progress::{Progress, Steps};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 use lipstream_media::files;
 use lipstream_media::video;
@@ -50,12 +51,12 @@ struct Face<'a> {
 /// Returns the number of eigenmouths, 0 when no clip has video.
 pub(super) fn see(
     clips: &mut Vec<Prepared>,
-    settings: &Settings,
-    watch: &dyn Watch,
+    settings: &PrepareSettings,
+    progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<usize> {
     let out = settings.out.as_path();
-    let results = track_all(clips, out, watch)?;
+    let results = track_all(clips, out, progress)?;
     if results.iter().all(Option::is_none) {
         return Ok(0);
     }
@@ -83,12 +84,13 @@ pub(super) fn see(
     *clips = kept;
     if clips.iter().all(|c| c.clip.video_frames == 0) {
         bail!(
+            Data,
             "no clip's pictures can be used (the last: {})",
             skipped.last().map_or("", |s| s.reason.as_str())
         );
     }
-    let (space, space_stamp) = eigenmouths(clips, &stamps, settings, watch)?;
-    weigh(clips, &stamps, &space, &space_stamp, settings, watch)?;
+    let (space, space_stamp) = eigenmouths(clips, &stamps, settings, progress)?;
+    weigh(clips, &stamps, &space, &space_stamp, settings, progress)?;
     Ok(space.size())
 }
 
@@ -99,7 +101,7 @@ fn video_path(prepared: &Prepared) -> &Path {
 /// Mouth images of every clip with video: number of pictures, their rate, and what vouches for them.
 type Tracked = Option<Result<(usize, f32, Stamp)>>;
 
-fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tracked>> {
+fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<Vec<Tracked>> {
     let mut faces = faces(clips)?;
     // The speaker with the most training clips first: his mouth's size is everyone's.
     faces.sort_by_key(|f| {
@@ -107,10 +109,8 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
         std::cmp::Reverse((training.count(), f.clips.len()))
     });
     let mut results: Vec<Tracked> = clips.iter().map(|_| None).collect();
-    let steps = faces.iter().map(|f| f.clips.len()).sum();
-    if steps > 0 {
-        watch.begin("mouths", steps);
-    }
+    let count = faces.iter().map(|f| f.clips.len()).sum();
+    let steps = (count > 0).then(|| Steps::begin(progress, "mouths", count));
     let mut size: Option<(usize, usize)> = None;
     for face in &faces {
         // Learnt here and not in the loop below, where one thread would wait for what it is doing itself.
@@ -124,13 +124,13 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
         let track = |i: &usize| {
             let result = track_one(&clips[*i], face, size, out);
             if let Err(error) = &result {
-                watch.say(&format!(
+                progress.say(&format!(
                     "skipped {}: {}",
                     video_path(&clips[*i]).display(),
                     reason(error)
                 ));
             }
-            watch.step();
+            steps.iter().for_each(Steps::made);
             (*i, result)
         };
         for (i, result) in face.clips.par_iter().map(track).collect::<Vec<_>>() {
@@ -141,7 +141,6 @@ fn track_all(clips: &[Prepared], out: &Path, watch: &dyn Watch) -> Result<Vec<Tr
             results[i] = Some(result);
         }
     }
-    watch.end();
     Ok(results)
 }
 
@@ -182,11 +181,11 @@ impl Face<'_> {
     fn tracker(&self) -> Result<&Tracker> {
         let learn = || -> Result<Tracker> {
             let thinned = |path: &&Path| {
-                let frames = video::decode(path)?;
+                let frames = video::decode(path).map_err(Error::other)?;
                 Ok(frames.thinned((frames.len() / REFERENCE_PICTURES).max(1)))
             };
             let mut clips = Vec::new();
-            let mut trouble: Option<anyhow::Error> = None;
+            let mut trouble: Option<Error> = None;
             for decoded in self.reference.par_iter().map(thinned).collect::<Vec<_>>() {
                 match decoded {
                     Ok(frames) => clips.push(frames),
@@ -201,7 +200,7 @@ impl Face<'_> {
         self.tracker
             .get_or_init(|| learn().map_err(|e| reason(&e)))
             .as_ref()
-            .map_err(|e| anyhow!("the speaker's face cannot be learnt: {e}"))
+            .map_err(|e| Error::Data(format!("the speaker's face cannot be learnt: {e}")))
     }
 }
 
@@ -245,10 +244,11 @@ fn track_one(
     let notes = Notes::new(out, id);
     notes.forget("mouths");
     let tracker = face.tracker()?;
-    let frames = video::decode(from)?;
+    let frames = video::decode(from).map_err(Error::other)?;
     let pictures_s = frames.len() as f64 / f64::from(frames.rate_hz);
     if (pictures_s - prepared.seconds).abs() > LENGTHS_DIFFER_S {
         bail!(
+            Data,
             "its sound lasts {:.2} s, its pictures {pictures_s:.2} s",
             prepared.seconds
         );
@@ -268,7 +268,7 @@ fn track_one(
 
 fn write_mouths(path: &Path, images: &Array4<u8>) -> Result<()> {
     use ndarray_npy::WriteNpyExt;
-    files::write_whole(path, |file| Ok(images.write_npy(file)?))
+    files::write_whole(path, |file| Ok(images.write_npy(file)?)).map_err(Error::other)
 }
 
 /// Images brought to another size (width, height), bilinear, pixel centres on pixel centres.
@@ -307,8 +307,8 @@ fn as_track(images: Array4<u8>, rate_hz: f32) -> MouthTrack {
 fn eigenmouths(
     clips: &[Prepared],
     stamps: &[Stamp],
-    settings: &Settings,
-    watch: &dyn Watch,
+    settings: &PrepareSettings,
+    progress: &dyn Progress,
 ) -> Result<(MouthSpace, Stamp)> {
     let seen: Vec<usize> = (0..clips.len())
         .filter(|i| clips[*i].clip.video_frames > 0)
@@ -335,10 +335,13 @@ fn eigenmouths(
     let path = settings.out.join("mouth.safetensors");
     let notes = Notes::new(&settings.out, "~mouth");
     if notes.vouched("space", &stamp, &path).is_some() {
-        return Ok((MouthSpace::load(&Tensors::read(&path)?)?, stamp));
+        return Ok((
+            MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?,
+            stamp,
+        ));
     }
     notes.forget("space");
-    watch.begin("eigenmouths", used.len() + 1);
+    let steps = Steps::begin(progress, "eigenmouths", used.len() + 1);
     let mut samples: Option<MouthSamples> = None;
     for i in used {
         let images = features::read_mouths(&mouths_path(&settings.out, &clips[i].clip.id))?;
@@ -346,17 +349,16 @@ fn eigenmouths(
         samples
             .get_or_insert_with(|| MouthSamples::new((track.width, track.height)))
             .add_clip(&track, keep)?;
-        watch.step();
+        steps.made();
     }
-    let samples = samples.context("no clip has mouth images")?;
+    let samples = samples.ok_or_else(|| Error::Data("no clip has mouth images".into()))?;
     if samples.len() < 2 {
-        bail!("{} mouth image is too few for eigenmouths", samples.len());
+        bail!(Data, "{} mouth image is too few for eigenmouths", samples.len());
     }
     let size = settings.eigenmouths.min(samples.len() - 1);
     let (space, carried) = vision::eigenmouths(&samples, size)?;
-    watch.step();
-    watch.end();
-    watch.say(&format!(
+    steps.made();
+    progress.say(&format!(
         "{size} eigenmouths of {} images ({}×{} pixels) carry {:.1} % of their variance",
         samples.len(),
         space.width,
@@ -365,7 +367,7 @@ fn eigenmouths(
     ));
     let mut tensors = TensorsBuilder::default();
     space.store(&mut tensors);
-    tensors.write(&path)?;
+    tensors.write(&path).map_err(Error::other)?;
     notes.note("space", &stamp)?;
     Ok((space, stamp))
 }
@@ -376,13 +378,13 @@ fn weigh(
     stamps: &[Stamp],
     space: &MouthSpace,
     space_stamp: &str,
-    settings: &Settings,
-    watch: &dyn Watch,
+    settings: &PrepareSettings,
+    progress: &dyn Progress,
 ) -> Result<()> {
     let seen: Vec<usize> = (0..clips.len())
         .filter(|i| clips[*i].clip.video_frames > 0)
         .collect();
-    watch.begin("mouth weights", seen.len());
+    let steps = Steps::begin(progress, "mouth weights", seen.len());
     seen.par_iter().try_for_each(|i| {
         let id = &clips[*i].clip.id;
         let path = settings.out.join("visual").join(format!("{id}.npy"));
@@ -395,20 +397,19 @@ fn weigh(
             let weights = space
                 .project_clip(&bytes, !settings.keep_clip_mean)
                 .with_context(|| format!("clip {id}"))?;
-            npy::write_npy(&path, &weights)?;
+            npy::write_npy(&path, &weights).map_err(Error::other)?;
             notes.note("visual", &stamp)?;
         }
-        watch.step();
-        Ok::<(), anyhow::Error>(())
+        steps.made();
+        Ok::<(), Error>(())
     })?;
-    watch.end();
     Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::corpus::discover::Source;
+    use crate::corpus::discover::ClipFiles;
     use lipstream::npy::read_npy;
 
     /// 20 pictures of 8 × 6: three patterns in changing amounts, on a ground that differs from clip to clip.
@@ -426,16 +427,16 @@ mod tests {
     #[test]
     fn weights_keep_the_distances_between_the_images_of_a_clip() {
         let folder = tempfile::tempdir().unwrap();
-        let settings = Settings {
+        let settings = PrepareSettings {
             out: folder.path().join("out"),
             eigenmouths: 5,
-            ..Settings::default()
+            ..PrepareSettings::default()
         };
         let mut clips: Vec<Prepared> = (0..3)
             .map(|i| {
                 let video = folder.path().join(format!("c{i}.mpg"));
                 std::fs::write(&video, b"already tracked").unwrap();
-                let source = Source {
+                let source = ClipFiles {
                     id: format!("c{i}"),
                     speaker: "s".into(),
                     split: if i == 2 { Split::Test } else { Split::Train },

@@ -125,7 +125,7 @@ pub fn reestimate(mixtures: &mut Mixtures, sums: &Accumulator, floors: &Floors) 
 
 /// Doubles the number of components: each becomes two, ±0.2 standard deviations apart (HTK's MU).
 ///
-/// A component with fewer than `enough` frames in `sums` is not split; its twin has no weight. `signs` draws the
+/// A component with fewer than `enough` frames in `sums` is not split; its other half has no weight. `signs` draws the
 /// direction along every dimension; without it the components part along the diagonal.
 pub fn split(
     mixtures: &Mixtures,

@@ -4,9 +4,9 @@
 //! many utterances or threads there are.
 use std::ops::Range;
 
-use anyhow::{Result, ensure};
 use ndarray::{Array2, Array3, ArrayView1};
 
+use crate::error::{Result, ensure};
 use density::{Accumulator, Floors};
 use lipstream::hmm::evaluator::{Evaluator, Likelihoods};
 use lipstream::hmm::forward_backward::{forward, viterbi};
@@ -160,7 +160,11 @@ pub fn start<S: Source + ?Sized>(
     topology: Topology,
     phones: &[Phone],
 ) -> Result<(Parameters, Floors, Option<Floors>)> {
-    ensure!(!utterances.is_empty(), "there is no utterance to start from");
+    ensure!(
+        !utterances.is_empty(),
+        Data,
+        "there is no utterance to start from"
+    );
     let first = utterances.get(0)?;
     let sizes = (
         first.audio.ncols(),

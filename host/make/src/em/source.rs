@@ -2,10 +2,10 @@
 //! independent of how many utterances and threads there are.
 use std::borrow::Cow;
 
-use anyhow::Result;
 use ndarray::Array2;
 use rayon::prelude::*;
 
+use crate::error::Result;
 use lipstream::hmm::network::PhoneNetwork;
 
 /// What training sees of one clip.
@@ -66,6 +66,7 @@ pub fn in_order<T: Send>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::ensure;
     use std::sync::atomic::{AtomicUsize, Ordering};
 
     /// Counts itself while it lives.
@@ -103,7 +104,7 @@ mod tests {
     fn the_first_error_ends_it() {
         let mut seen = 0;
         let work = |n: usize| {
-            anyhow::ensure!(n < 20, "{n} is too much");
+            ensure!(n < 20, Data, "{n} is too much");
             Ok(n)
         };
         let all = in_order(1000, work, |_| {

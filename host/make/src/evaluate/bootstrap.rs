@@ -131,13 +131,8 @@ fn middle(mut values: Vec<f64>) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lipstream::random::normal_f64;
     use ndarray::Array2;
-
-    /// Mean 0, variance 1.
-    fn normal(rng: &mut Pcg64) -> f64 {
-        let (u, v): (f64, f64) = (rng.random_range(1e-12..1.0), rng.random());
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
-    }
 
     /// Clips of one frame whose squared errors are `errors`.
     fn clips(errors: &[f64]) -> Vec<Score> {
@@ -155,7 +150,7 @@ mod tests {
     #[test]
     fn the_interval_of_a_mean_is_two_standard_errors_wide() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let errors: Vec<f64> = (0..400).map(|_| 10.0 + normal(&mut rng)).collect();
+        let errors: Vec<f64> = (0..400).map(|_| 10.0 + normal_f64(&mut rng)).collect();
         let n = errors.len() as f64;
         let mean = errors.iter().sum::<f64>() / n;
         let deviation = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
@@ -173,8 +168,8 @@ mod tests {
         let mut rng = Pcg64::seed_from_u64(3);
         let (mut held, mut alarms, trials) = (0, 0, 200);
         for trial in 0..trials {
-            let ours: Vec<f64> = (0..40).map(|_| 10.0 + normal(&mut rng)).collect();
-            let theirs: Vec<f64> = (0..40).map(|_| 10.0 + normal(&mut rng)).collect();
+            let ours: Vec<f64> = (0..40).map(|_| 10.0 + normal_f64(&mut rng)).collect();
+            let theirs: Vec<f64> = (0..40).map(|_| 10.0 + normal_f64(&mut rng)).collect();
             let draws = Draws::new(40, 200, trial);
             let (a, b) = (
                 Resampled::new(clips(&ours), &draws),

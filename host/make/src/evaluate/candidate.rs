@@ -1,5 +1,5 @@
 //! One system as the report sees it: something that hears a clip and says what the mouth does.
-use anyhow::{Result, bail, ensure};
+use crate::error::{Result, bail, ensure};
 use ndarray::Array2;
 
 /// What a candidate hears of one clip. The features belong to the samples, also where noise was added to
@@ -94,6 +94,7 @@ impl<'a> Candidate<'a> {
         if let Some(visemes) = &said.visemes {
             ensure!(
                 visemes.nrows() == said.parameters.nrows(),
+                Data,
                 "{}: clip {} has {} frames of visemes and {} of the mouth",
                 self.name,
                 heard.id,
@@ -108,6 +109,7 @@ impl<'a> Candidate<'a> {
     pub(super) fn check(&self, id: &str, said: &Array2<f32>, shape: (usize, usize)) -> Result<()> {
         if said.ncols() != shape.1 || said.nrows().abs_diff(shape.0) > MISSING_FRAMES {
             bail!(
+                Data,
                 "{}: clip {id} has {:?} mouth parameters, its video has {shape:?}",
                 self.name,
                 said.dim()
@@ -115,6 +117,7 @@ impl<'a> Candidate<'a> {
         }
         ensure!(
             said.iter().all(|v| v.is_finite()),
+            Data,
             "{}: a mouth parameter of clip {id} is not finite",
             self.name
         );

@@ -1,7 +1,7 @@
 //! How often the mouth's class changes in speech: the likeliest viseme of each frame, and the cues that an animator gets.
-use anyhow::Result;
 use ndarray::{ArrayView1, ArrayView2};
 
+use crate::error::{Error, Result};
 use crate::features::Clip;
 use crate::train::data;
 use lipstream::cues;
@@ -42,7 +42,7 @@ impl Changes {
         let visemes = (1..path.len())
             .filter(|&t| path[t] != path[t - 1] && inside(f64::from(data::frame_time(t)) - 0.005))
             .count();
-        let cues = cues::cues(weights, seconds)?;
+        let cues = cues::cues(weights, seconds).map_err(Error::other)?;
         Ok(Self {
             visemes,
             cues: cues.iter().skip(1).filter(|cue| inside(cue.start_s)).count(),

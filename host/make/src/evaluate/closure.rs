@@ -10,7 +10,6 @@
 //! p, b, m. A bilabial is kept if the true mouth closes in that span and the predicted one does too.
 use std::collections::HashMap;
 
-use anyhow::{Context, Result, bail};
 use nalgebra::{DMatrix, DVector};
 use ndarray::{Array1, Array2, Array4, ArrayView2, Axis, s};
 use rayon::prelude::*;
@@ -18,6 +17,7 @@ use serde::Serialize;
 
 use super::gap::{IMAGES, Lips};
 use super::metrics::Score;
+use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{Clip, FeatureFolder, Split, read_mouths};
 use crate::train::data;
 use lipstream::phones::Phone;
@@ -84,7 +84,7 @@ impl Gaps {
         }
         let train: Vec<&Clip> = filmed(folder).filter(|c| c.split == Split::Train).collect();
         if train.is_empty() {
-            bail!("no training clip has video");
+            bail!(Data, "no training clip has video");
         }
         let step = train.len().div_ceil(CLIPS);
         let pairs: Vec<(Array2<f32>, Vec<f32>)> = train
@@ -134,6 +134,7 @@ fn images(folder: &FeatureFolder, clip: &Clip) -> Result<Array4<u8>> {
     let images = read_mouths(&folder.mouths_path(&clip.id))?;
     if images.dim().0 != clip.video_frames {
         bail!(
+            Data,
             "clip {} has {} mouth images for {} frames of video",
             clip.id,
             images.dim().0,
@@ -145,9 +146,9 @@ fn images(folder: &FeatureFolder, clip: &Clip) -> Result<Array4<u8>> {
 
 /// From at most [`IMAGES`] images, spread over the speaker's training clips (or over all that he has).
 fn learn_lips(folder: &FeatureFolder, speaker: &str) -> Result<Lips> {
-    let all: Vec<&Clip> = filmed(folder).filter(|c| c.speaker == speaker).collect();
-    let train: Vec<&Clip> = all.iter().copied().filter(|c| c.split == Split::Train).collect();
-    let clips = if train.is_empty() { all } else { train };
+    let own: Vec<&Clip> = filmed(folder).filter(|c| c.speaker == speaker).collect();
+    let train: Vec<&Clip> = own.iter().copied().filter(|c| c.split == Split::Train).collect();
+    let clips = if train.is_empty() { own } else { train };
     let each = 10.max(IMAGES.div_ceil(clips.len()));
     let step = clips.len().div_ceil(IMAGES / 10);
     let mut chosen: Vec<Array4<u8>> = Vec::new();
@@ -159,13 +160,14 @@ fn learn_lips(folder: &FeatureFolder, speaker: &str) -> Result<Lips> {
     let views: Vec<_> = chosen.iter().map(|c| c.view()).collect();
     let images = ndarray::concatenate(Axis(0), &views)
         .with_context(|| format!("the mouth images of {speaker} differ in size"))?;
-    Lips::learn(images.view()).with_context(|| format!("no lips stand out in the mouth images of {speaker}"))
+    Lips::learn(images.view())
+        .ok_or_else(|| Error::Data(format!("no lips stand out in the mouth images of {speaker}")))
 }
 
 fn image_gaps(folder: &FeatureFolder, clip: &Clip, lips: &HashMap<String, Lips>) -> Result<Vec<f32>> {
     lips[&clip.speaker]
         .gaps(images(folder, clip)?.view())
-        .with_context(|| format!("no lips are seen in clip {}", clip.id))
+        .ok_or_else(|| Error::Data(format!("no lips are seen in clip {}", clip.id)))
 }
 
 /// Ridge regression of gaps on weights: slope per weight and offset.
@@ -205,7 +207,10 @@ fn fit(pairs: &[(Array2<f32>, Vec<f32>)]) -> Result<(Array1<f32>, f32)> {
         right.axpy(g - gap, &x, 1.0);
     }
     let Some(solved) = normal.cholesky() else {
-        bail!("the eigenmouth weights of the training clips are not finite");
+        bail!(
+            Data,
+            "the eigenmouth weights of the training clips are not finite"
+        );
     };
     let slope = solved.solve(&right);
     let weights: Array1<f32> = slope

@@ -3,7 +3,6 @@
 //! GRID's clips share one timing (silence, six words, silence), which a model can learn by heart from the beginning of a
 //! clip. The start is a random sample; the same frames of the same clip heard from its beginning stand beside it. So that both
 //! fall on the same frames, the warm run leaves out the clip's first samples, less than one hop.
-use anyhow::Result;
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{Array2, ArrayView2, s};
 use rand::RngExt;
@@ -12,6 +11,7 @@ use serde::Serialize;
 use super::Truth;
 use super::bootstrap::{Difference, Interval};
 use super::candidate::{Candidate, Heard};
+use crate::error::Result;
 use crate::features::FeatureFolder;
 use crate::noise::generator;
 

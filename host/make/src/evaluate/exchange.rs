@@ -7,12 +7,12 @@
 //! ```
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, SAMPLE_RATE_HZ};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::candidate::{Candidate, Heard, Prediction};
+use crate::error::{Context as _, Error, Result, ensure};
 use crate::features::{Clip, FeatureFolder, PhoneLabel, Split, Word};
 use crate::train::data;
 use lipstream::npy::{read_npy, write_npy};
@@ -72,17 +72,17 @@ pub fn export(folder: &FeatureFolder, to: &Path) -> Result<usize> {
         start_mean: &folder.manifest.start_mean,
         clips: entries,
     })?;
-    files::write_bytes(&index, &text)?;
+    files::write_bytes(&index, &text).map_err(Error::other)?;
     Ok(clips.len())
 }
 
 fn entry<'a>(folder: &FeatureFolder, clip: &'a Clip, to: &Path) -> Result<Entry<'a>> {
     let name = |what: &str| format!("{}/{}.{what}.npy", split_name(clip.split), clip.id);
-    write_npy(&to.join(name("audio")), &folder.audio(clip)?)?;
+    write_npy(&to.join(name("audio")), &folder.audio(clip)?).map_err(Error::other)?;
     let visual = (clip.video_frames > 0).then(|| name("visual"));
     if let Some(name) = &visual {
         let mouth = data::to_audio_rate(folder.visual(clip)?.view(), clip.video_hz, clip.audio_frames);
-        write_npy(&to.join(name), &mouth)?;
+        write_npy(&to.join(name), &mouth).map_err(Error::other)?;
     }
     Ok(Entry {
         id: &clip.id,
@@ -100,13 +100,14 @@ fn entry<'a>(folder: &FeatureFolder, clip: &'a Clip, to: &Path) -> Result<Entry<
 pub fn predictions<'a>(name: &str, from: &Path) -> Result<Candidate<'a>> {
     ensure!(
         from.is_dir(),
+        Choice,
         "{} is no folder with predictions of {name} (ID.npy, one a clip)",
         from.display()
     );
     let root = from.to_owned();
     let mut candidate = Candidate::new(name, None, move |heard: &Heard| {
         Ok(Prediction {
-            parameters: read_npy(&root.join(format!("{}.npy", heard.id)))?,
+            parameters: read_npy(&root.join(format!("{}.npy", heard.id))).map_err(Error::other)?,
             visemes: None,
         })
     });

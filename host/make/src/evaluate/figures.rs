@@ -1,9 +1,9 @@
 //! The figures of a report: X&L's 7, 10 and 11 on one's own data, and the curves that they did not draw.
-use anyhow::Result;
 
 use super::bootstrap::Interval;
 use super::plot::{self, Line, Look, Panel};
 use super::report::{ClipConvergence, Convergence, Report, Trajectory};
+use crate::error::Result;
 use crate::noise::Kind;
 
 /// A figure with its legend.
@@ -19,7 +19,7 @@ const SNIPPET: usize = 120;
 
 /// All figures for which there are numbers.
 pub fn figures(report: &Report) -> Result<Vec<Figure>> {
-    let all = [
+    let drawn = [
         scores(report)?,
         per_dimension(report)?,
         snippets(report)?,
@@ -29,7 +29,7 @@ pub fn figures(report: &Report) -> Result<Vec<Figure>> {
         look_ahead(report)?,
         noise(report)?,
     ];
-    Ok(all.into_iter().flatten().collect())
+    Ok(drawn.into_iter().flatten().collect())
 }
 
 /// A system's place in the first table decides how it looks everywhere.

@@ -7,23 +7,24 @@
 //! the lag before it is read off.
 use std::borrow::Cow;
 
-use anyhow::{Result, ensure};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
 use super::candidate::{Candidate, Heard, Prediction};
 use super::models;
 use crate::em::source::{Source, Utterance};
+use crate::error::{Error, Result, ensure};
 use crate::features::{FeatureFolder, Split};
 use crate::train::data::Clips;
-use crate::train::{self, Say, maps};
+use crate::train::{self, maps};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Follower, Lag, apply_maps, smooth};
 use lipstream::kinds::likelihood::inversion::Inverter;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// One look-ahead, in frames of 10 ms between centres.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -78,7 +79,7 @@ pub fn curves<'a>(
     folder: &FeatureFolder,
     systems: &[System],
     models: &[Model],
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Vec<Candidate<'a>>> {
     let mut out = Vec::new();
     for system in systems {
@@ -86,16 +87,16 @@ pub fn curves<'a>(
             continue;
         };
         let refit = match system.speech {
-            Speech::LocalLinear => Some(Refit::new(folder, &model.phones, say)?),
+            Speech::LocalLinear => Some(Refit::new(folder, &model.phones, progress)?),
             Speech::Means | Speech::Viterbi => None,
         };
         for wait in LOOK_AHEADS.map(Wait::of) {
             let ms = 10 * wait.frames as u32;
             let name = format!("{}, {ms} ms", system.name);
-            say(&format!("for the curve: {name}"));
+            progress.say(&format!("for the curve: {name}"));
             let model = wait.cut(model);
             let candidate = match &refit {
-                Some(refit) => refit.candidate(name, model, wait, say)?,
+                Some(refit) => refit.candidate(name, model, wait, progress)?,
                 None => by_means(name, *system, &model, wait),
             };
             out.push(candidate.of_family(system.name).unlisted());
@@ -105,7 +106,7 @@ pub fn curves<'a>(
 }
 
 /// A model trained on its error at every look-ahead that it can be run at, unlisted: one model for all.
-pub fn of_mge<'a>(model: &'a MgeModel, family: &str) -> Vec<Candidate<'a>> {
+pub fn of_mge<'a>(model: &'a RecurrentModel, family: &str) -> Vec<Candidate<'a>> {
     let own = model.parameters.shape.context.look_ahead();
     let within = [2, 3, 4, 6].into_iter().filter(|ahead| *ahead < own);
     within
@@ -123,8 +124,12 @@ fn by_means<'a>(name: String, system: System, model: &Model, wait: Wait) -> Cand
     Candidate::new(name, Some(10 * wait.frames as u32), move |heard: &Heard| {
         let observations = wait.heard(&heard.observations);
         let parameters = match system.speech {
-            Speech::Viterbi => inverter.best_path_within(&observations, settings.acoustic_scale, wait.lag)?,
-            _ => inverter.convert_within(&observations, &settings, wait.lag)?,
+            Speech::Viterbi => inverter
+                .best_path_within(&observations, settings.acoustic_scale, wait.lag)
+                .map_err(Error::other)?,
+            _ => inverter
+                .convert_within(&observations, &settings, wait.lag)
+                .map_err(Error::other)?,
         };
         Ok(Prediction {
             parameters: wait.said(parameters),
@@ -158,32 +163,39 @@ impl Source for Cut<'_> {
 }
 
 impl<'a> Refit<'a> {
-    fn new(folder: &'a FeatureFolder, phones: &'a [Phone], say: Say) -> Result<Self> {
-        let clips = |split| Clips::new(folder, split, phones, say).readable(true, say);
+    fn new(folder: &'a FeatureFolder, phones: &'a [Phone], progress: &dyn Progress) -> Result<Self> {
+        let clips = |split| Clips::new(folder, split, phones, progress).readable(true, progress);
         let new = Self {
             train: clips(Split::Train),
             judges: clips(Split::Val),
         };
         ensure!(
             !new.train.is_empty() && !new.judges.is_empty(),
+            Data,
             "{} has no training or no validation clips with video to fit maps on",
             folder.root.display()
         );
         Ok(new)
     }
 
-    fn candidate<'b>(&self, name: String, mut model: Model, wait: Wait, say: Say) -> Result<Candidate<'b>> {
+    fn candidate<'b>(
+        &self,
+        name: String,
+        mut model: Model,
+        wait: Wait,
+        progress: &dyn Progress,
+    ) -> Result<Candidate<'b>> {
         let cut = |clips| Cut { clips, wait };
         let last = wait.frames as i32 - i32::from(wait.average);
-        let settings = train::Settings {
+        let settings = train::TrainSettings {
             taps: (-30..=last).step_by(2).collect(),
             lag: wait.lag,
             acoustic_scales: vec![model.following.acoustic_scale],
-            ..train::Settings::default()
+            ..train::TrainSettings::default()
         };
         let hmm = Hmm::of_model(&model);
         let (following, context, fitted) =
-            maps::maps(&hmm, &cut(&self.train), &cut(&self.judges), &settings, say)?;
+            maps::maps(&hmm, &cut(&self.train), &cut(&self.judges), &settings, progress)?;
         (model.following, model.context, model.maps) = (following, context, fitted);
         let follower = Follower::of_model(&model);
         Ok(Candidate::new(
@@ -191,7 +203,8 @@ impl<'a> Refit<'a> {
             Some(10 * wait.frames as u32),
             move |heard: &Heard| {
                 let observations = wait.heard(&heard.observations);
-                let (said, _) = apply_maps(&follower, &model, &observations, Lag::Frames(wait.lag))?;
+                let (said, _) = apply_maps(&follower, &model, &observations, Lag::Frames(wait.lag))
+                    .map_err(Error::other)?;
                 Ok(Prediction {
                     parameters: wait.said(said),
                     visemes: None,

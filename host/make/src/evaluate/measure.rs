@@ -1,7 +1,6 @@
 //! The measuring: every candidate on every clip, whole, in noise, and from cold starts.
 use std::collections::HashSet;
 
-use anyhow::{Result, bail, ensure};
 use lipstream_core::{N_STATIC, SAMPLE_RATE_HZ};
 use ndarray::{Array2, s};
 use rayon::prelude::*;
@@ -11,12 +10,14 @@ use super::candidate::{Candidate, Heard};
 use super::closure::{self, Closure, Gaps, TrueGap};
 use super::metrics::Score;
 use super::report::{
-    Against, ClipConvergence, ColdStarts, Convergence, Curve, NoiseCondition, NoiseRow, Point, Predicted,
-    Report, Settings, System, Trajectory,
+    Against, ClipConvergence, ColdStarts, Convergence, Curve, EvaluateSettings, NoiseCondition, NoiseRow,
+    Point, Predicted, Report, System, Trajectory,
 };
 use super::{Truth, changes, cold, truths};
+use crate::error::{Error, Result, bail, chain, ensure};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::noise;
+use lipstream::progress::Progress;
 use lipstream::reference::{self, Normalisation};
 use lipstream_media::sound;
 
@@ -40,9 +41,9 @@ struct Bench<'a> {
     truths: &'a [Truth<'a>],
     heard: &'a [Heard<'a>],
     draws: Draws,
-    settings: &'a Settings,
+    settings: &'a EvaluateSettings,
     start_mean: [f32; N_STATIC],
-    progress: &'a (dyn Fn(&str) + Sync),
+    progress: &'a dyn Progress,
 }
 
 /// Measures every candidate on the clips of `split` that have video. `progress` hears what is being done.
@@ -50,20 +51,26 @@ pub fn measure(
     folder: &FeatureFolder,
     split: Split,
     candidates: &[Candidate],
-    settings: &Settings,
-    progress: &(dyn Fn(&str) + Sync),
+    settings: &EvaluateSettings,
+    progress: &dyn Progress,
 ) -> Result<Report> {
     check_names(candidates, settings)?;
     let truths = truths(folder, split)?;
     if truths.is_empty() {
-        bail!("{} has no clip with video in this split", folder.root.display());
+        bail!(
+            Data,
+            "{} has no clip with video in this split",
+            folder.root.display()
+        );
     }
     let heard: Vec<Heard> = truths
         .par_iter()
         .map(|truth| {
             Ok(Heard {
                 id: &truth.clip.id,
-                samples: sound::read(&folder.wav_path(&truth.clip.id))?.samples,
+                samples: sound::read(&folder.wav_path(&truth.clip.id))
+                    .map_err(Error::other)?
+                    .samples,
                 observations: truth.audio.clone(),
             })
         })
@@ -78,11 +85,11 @@ pub fn measure(
         progress,
     };
     let mut notes = Vec::new();
-    progress("mouth images");
+    progress.say("measuring: mouth images");
     let gaps = match bench.gaps() {
         Ok(gaps) => Some(gaps),
         Err(error) => {
-            notes.push(format!("Closure was not measured: {error:#}."));
+            notes.push(format!("Closure was not measured: {}.", chain(&error)));
             None
         }
     };
@@ -137,11 +144,12 @@ pub fn measure(
     })
 }
 
-fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
+fn check_names(candidates: &[Candidate], settings: &EvaluateSettings) -> Result<()> {
     let mut names = HashSet::new();
     for candidate in candidates {
         ensure!(
             names.insert(candidate.name.as_str()),
+            Choice,
             "two systems are called {:?}",
             candidate.name
         );
@@ -149,6 +157,7 @@ fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
     for name in settings.noise.iter().flat_map(|noise| &noise.systems) {
         ensure!(
             names.contains(name.as_str()),
+            Choice,
             "no system is called {name:?}, which is to hear noise"
         );
     }
@@ -156,12 +165,15 @@ fn check_names(candidates: &[Candidate], settings: &Settings) -> Result<()> {
 }
 
 /// Place of the candidate that the others are compared with.
-fn reference(candidates: &[Candidate], settings: &Settings) -> Result<Option<usize>> {
+fn reference(candidates: &[Candidate], settings: &EvaluateSettings) -> Result<Option<usize>> {
     let called = |name: &str| candidates.iter().position(|c| c.name == name);
     match &settings.reference {
         Some(name) => match called(name) {
             Some(place) => Ok(Some(place)),
-            None => bail!("no system is called {name:?}, with which the others are to be compared"),
+            None => bail!(
+                Choice,
+                "no system is called {name:?}, with which the others are to be compared"
+            ),
         },
         None => Ok(called("ph-vi-chmm").or_else(|| {
             candidates
@@ -256,7 +268,7 @@ impl<'a> Bench<'a> {
     }
 
     fn whole(&self, candidate: &Candidate, gaps: Option<&Gaps>, drawn: &[usize]) -> Result<Whole> {
-        (self.progress)(&candidate.name);
+        self.progress.say(&format!("measuring: {}", candidate.name));
         struct Said {
             score: Score,
             gap: Vec<f32>,
@@ -326,12 +338,20 @@ impl<'a> Bench<'a> {
         let folder = settings.babble.as_ref().unwrap_or(self.folder);
         ensure!(
             folder.split(Split::Train).next().is_some(),
+            Data,
             "{} has no training clip that could babble",
             folder.root.display()
         );
         let voices: Vec<(String, Vec<i16>)> = folder
             .split(Split::Train)
-            .map(|clip| Ok((clip.id.clone(), sound::read(&folder.wav_path(&clip.id))?.samples)))
+            .map(|clip| {
+                Ok((
+                    clip.id.clone(),
+                    sound::read(&folder.wav_path(&clip.id))
+                        .map_err(Error::other)?
+                        .samples,
+                ))
+            })
             .collect::<Result<_>>()?;
         let mut out = Vec::new();
         for kind in [noise::Kind::White, noise::Kind::Babble] {
@@ -351,7 +371,8 @@ impl<'a> Bench<'a> {
                 })
                 .collect();
             for &snr_db in &settings.snrs_db {
-                (self.progress)(&format!("{} noise, {snr_db} dB", kind.name()));
+                self.progress
+                    .say(&format!("measuring: {} noise, {snr_db} dB", kind.name()));
                 let noisy: Vec<Heard> = self
                     .heard
                     .par_iter()
@@ -397,7 +418,8 @@ impl<'a> Bench<'a> {
         let draws = Draws::new(starts.len(), self.settings.resamples, seed);
         let mut systems = Vec::new();
         for candidate in candidates.iter().filter(|c| c.hears && c.listed) {
-            (self.progress)(&format!("{}, cold starts", candidate.name));
+            self.progress
+                .say(&format!("measuring: {}, cold starts", candidate.name));
             let said: Vec<cold::Said> = starts
                 .par_iter()
                 .map(|start| start.say(candidate))
@@ -435,7 +457,8 @@ impl<'a> Bench<'a> {
         let Some(iterate) = &candidate.iterations else {
             return Ok(None);
         };
-        (self.progress)(&format!("{}, iterations", candidate.name));
+        self.progress
+            .say(&format!("measuring: {}, iterations", candidate.name));
         let clips: Vec<(Vec<Score>, Vec<f64>)> = self
             .heard
             .par_iter()

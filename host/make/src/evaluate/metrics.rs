@@ -111,15 +111,15 @@ impl Score {
 
     /// Average correlation coefficient (eq. 21).
     pub fn acc(&self) -> f64 {
-        let all = self.correlations();
-        all.iter().sum::<f64>() / all.len() as f64
+        let each = self.correlations();
+        each.iter().sum::<f64>() / each.len() as f64
     }
 
     /// ACC of the first `n` parameters, which carry most of the motion.
     pub fn acc_of_first(&self, n: usize) -> f64 {
-        let all = self.correlations();
-        let n = n.min(all.len());
-        all[..n].iter().sum::<f64>() / n as f64
+        let each = self.correlations();
+        let n = n.min(each.len());
+        each[..n].iter().sum::<f64>() / n as f64
     }
 }
 

@@ -18,15 +18,15 @@ pub mod systems;
 pub mod tables;
 mod write;
 
-use anyhow::Result;
 use ndarray::Array2;
 use rayon::prelude::*;
 
+use crate::error::Result;
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::train::data;
 pub use candidate::{Candidate, Heard, Iteration, Prediction};
 pub use measure::measure;
-pub use report::{NoiseSettings, Report, Settings};
+pub use report::{EvaluateSettings, NoiseSettings, Report};
 pub use write::{Destination, Heading, html, json, markdown};
 
 /// A clip with its mouth at the audio's rate.

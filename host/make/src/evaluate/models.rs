@@ -1,19 +1,19 @@
 //! Candidates that need no training corpus of systems: the mean, ridge regression, and one trained model in floats and as
 //! the device computes it.
-use anyhow::{Result, ensure};
 use lipstream_core::StreamSettings;
 use lipstream_core::wire::Profile;
 use ndarray::Array2;
 
 use super::candidate::{Candidate, Heard, Prediction};
 use super::ridge::RidgeMap;
+use crate::error::{Error, Result, ensure};
 use crate::features::{FeatureFolder, Split};
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Follower, Lag, convert_with};
 use lipstream::kinds::recurrent::live;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 
 /// Always the mean mouth.
 pub fn mean<'a>(size: usize) -> Candidate<'a> {
@@ -59,7 +59,9 @@ pub fn of_model<'a>(
     beam_bits: Option<f64>,
 ) -> Result<Vec<Candidate<'a>>> {
     speaks_as_many(folder, model.visual_size())?;
-    let tables = export(model, &ExportSettings::of(model))?.bytes;
+    let tables = export(model, &ExportSettings::of(model))
+        .map_err(Error::other)?
+        .bytes;
     let ahead = Some(model.look_ahead_ms());
     Ok(vec![
         local_linear("ph-vi-chmm + local linear, float", None, model, Lag::Whole),
@@ -85,7 +87,8 @@ pub fn of_model<'a>(
 pub(super) fn local_linear<'a>(name: &str, ahead: Option<u32>, model: &'a Model, lag: Lag) -> Candidate<'a> {
     let follower = Follower::of_model(model);
     Candidate::new(name, ahead, move |heard: &Heard| {
-        let (parameters, visemes) = convert_with(&follower, model, &heard.observations, lag)?;
+        let (parameters, visemes) =
+            convert_with(&follower, model, &heard.observations, lag).map_err(Error::other)?;
         Ok(Prediction {
             parameters,
             visemes: Some(visemes),
@@ -95,9 +98,9 @@ pub(super) fn local_linear<'a>(name: &str, ahead: Option<u32>, model: &'a Model,
 
 /// What the device makes of these tables.
 fn device<'a>(name: &str, ahead: Option<u32>, tables: Vec<u8>, with: RunSettings) -> Result<Candidate<'a>> {
-    let engine = Engine::fixed(tables)?;
+    let engine = Engine::fixed(tables).map_err(Error::other)?;
     Ok(Candidate::new(name, ahead, move |heard: &Heard| {
-        let said = engine.convert(&heard.samples, &with)?;
+        let said = engine.convert(&heard.samples, &with).map_err(Error::other)?;
         Ok(Prediction {
             parameters: said.parameters,
             visemes: Some(said.visemes),
@@ -109,6 +112,7 @@ fn device<'a>(name: &str, ahead: Option<u32>, tables: Vec<u8>, with: RunSettings
 fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
     ensure!(
         size == folder.manifest.visual_size,
+        Choice,
         "the model speaks {size} mouth parameters, {} holds {}",
         folder.root.display(),
         folder.manifest.visual_size
@@ -119,7 +123,7 @@ fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
 /// A model trained on the error of its mouth, streamed frame by frame in floats with `look_ahead` frames of future.
 pub(super) fn mge_float<'a>(
     name: impl Into<String>,
-    model: &'a MgeModel,
+    model: &'a RecurrentModel,
     look_ahead: usize,
 ) -> Candidate<'a> {
     Candidate::new(name, Some(10 * look_ahead as u32), move |heard: &Heard| {
@@ -135,12 +139,14 @@ pub(super) fn mge_float<'a>(
 /// profile.
 pub fn of_mge<'a>(
     folder: &FeatureFolder,
-    model: &'a MgeModel,
+    model: &'a RecurrentModel,
     beam_bits: Option<f64>,
 ) -> Result<Vec<Candidate<'a>>> {
     speaks_as_many(folder, model.deviation.len())?;
     let ahead = Some(model.look_ahead_ms());
-    let tables = export_mge(model, &MgeSettings::default())?.bytes;
+    let tables = export_mge(model, &MgeSettings::default())
+        .map_err(Error::other)?
+        .bytes;
     let own = model.parameters.shape.context.look_ahead();
     let mut out = vec![mge_float("mge, float", model, own)];
     for (name, profile) in [

@@ -1,6 +1,6 @@
 //! Line charts and dot plots as SVG text: one style for every figure, colours that colour-blind readers can tell apart
 //! (Okabe and Ito's, without the yellow), and a dash pattern where colours run out.
-use anyhow::{Result, anyhow};
+use crate::error::{Error, Result};
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -75,8 +75,8 @@ pub struct Panel {
 type Canvas<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// Drawing on a string cannot fail but for a chart without room.
-fn drawn<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> anyhow::Error {
-    anyhow!("cannot draw a figure: {error}")
+fn drawn<E: std::error::Error + Send + Sync>(error: DrawingAreaErrorKind<E>) -> Error {
+    Error::Numbers(format!("cannot draw a figure: {error}"))
 }
 
 /// (colour, dash and gap in pixels; no gap: solid)

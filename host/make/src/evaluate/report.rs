@@ -9,7 +9,7 @@ use crate::noise;
 
 /// What is measured, and how.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct EvaluateSettings {
     /// Resamples of the intervals and tests.
     pub resamples: usize,
     pub seed: u64,
@@ -39,7 +39,7 @@ impl Default for NoiseSettings {
     }
 }
 
-impl Default for Settings {
+impl Default for EvaluateSettings {
     fn default() -> Self {
         Self {
             resamples: 1000,

@@ -1,11 +1,11 @@
 //! The plain baseline: one linear map from stacked cepstra, no states.
-use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array1, Array2, Axis, s};
 use rayon::prelude::*;
 
 use super::Truth;
 use super::metrics::Score;
+use crate::error::{Result, bail};
 use crate::train::local_linear::MapSums;
 use lipstream::kinds::likelihood::LocalLinear;
 use lipstream::kinds::likelihood::local_linear;
@@ -23,7 +23,7 @@ impl RidgeMap {
     pub fn fit(train: &[Truth], validation: &[Truth], taps: Vec<i32>) -> Result<Self> {
         let stacked = taps.len() * N_STATIC;
         let Some(size) = train.first().map(|t| t.visual.ncols()) else {
-            bail!("no training clip has video")
+            bail!(Data, "no training clip has video")
         };
         let mut n = 0.0;
         let (mut first, mut second) = (Array1::<f64>::zeros(stacked), Array1::<f64>::zeros(stacked));

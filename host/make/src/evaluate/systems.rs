@@ -3,17 +3,17 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use anyhow::{Context as _, Result, bail, ensure};
-
 use super::candidate::{Candidate, Heard, Iteration, Prediction};
 use super::models::local_linear;
+use crate::error::{Context as _, Error, Result, bail, ensure};
 use crate::features::FeatureFolder;
-use crate::train::{self, Say, Settings};
+use crate::train::{self, TrainSettings};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::{SYSTEMS, Speech, System};
 use lipstream::kinds::likelihood::convert::{Lag, smooth, viseme_weights};
 use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::{EmSettings, Model};
+use lipstream::progress::Progress;
 
 /// Systems by name, separated by commas; `all` are all of them.
 pub fn parse(names: &str) -> Result<Vec<System>> {
@@ -24,8 +24,13 @@ pub fn parse(names: &str) -> Result<Vec<System>> {
     names
         .split(',')
         .map(|name| {
-            System::from_name(name.trim())
-                .with_context(|| format!("unknown system {:?}; there are all, {}", name.trim(), known()))
+            System::from_name(name.trim()).ok_or_else(|| {
+                Error::Choice(format!(
+                    "unknown system {:?}; there are all, {}",
+                    name.trim(),
+                    known()
+                ))
+            })
         })
         .collect()
 }
@@ -37,8 +42,8 @@ pub fn open_or_train(
     store: &Path,
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<Vec<Model>> {
     std::fs::create_dir_all(store).with_context(|| format!("cannot create {}", store.display()))?;
     let mut models: Vec<Model> = Vec::new();
@@ -49,9 +54,10 @@ pub fn open_or_train(
         }
         let path = store.join(format!("{}.safetensors", hmm.name));
         let model = if path.exists() {
-            let model = Model::read(&path)?;
+            let model = Model::read(&path).map_err(Error::other)?;
             ensure!(
                 model.system.hmm() == hmm,
+                Choice,
                 "{} holds the system {}: remove it to train {} again",
                 path.display(),
                 model.system.name,
@@ -59,16 +65,17 @@ pub fn open_or_train(
             );
             model
         } else {
-            let settings = Settings {
+            let settings = TrainSettings {
                 system: hmm,
                 ..settings.clone()
             };
-            let model = train::train(folder, audio_only, &settings, say)?;
-            model.write(&path)?;
+            let model = train::train(folder, audio_only, &settings, progress)?;
+            model.write(&path).map_err(Error::other)?;
             model
         };
         if model.visual_size() != folder.manifest.visual_size {
             bail!(
+                Choice,
                 "{} speaks {} mouth parameters, {} holds {}: remove it to train it again",
                 path.display(),
                 model.visual_size(),
@@ -89,7 +96,7 @@ pub fn candidates<'a>(systems: &[System], models: &'a [Model]) -> Result<Vec<Can
             let model = models
                 .iter()
                 .find(|m| m.system.hmm() == system.hmm())
-                .with_context(|| format!("no model for the system {}", system.name))?;
+                .ok_or_else(|| Error::Choice(format!("no model for the system {}", system.name)))?;
             Ok(candidate(system, model))
         })
         .collect()
@@ -104,7 +111,9 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
         Speech::Viterbi => {
             let inverter = Inverter::new(Hmm::of_model(model));
             Candidate::new(system.name, None, move |heard: &Heard| {
-                let said = inverter.best_path(&heard.observations, model.conversion.acoustic_scale)?;
+                let said = inverter
+                    .best_path(&heard.observations, model.conversion.acoustic_scale)
+                    .map_err(Error::other)?;
                 Ok(Prediction {
                     parameters: smooth(&said),
                     visemes: None,
@@ -115,7 +124,9 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
             let inverter = Arc::new(Inverter::new(Hmm::of_model(model)));
             let again = inverter.clone();
             let candidate = Candidate::new(system.name, None, move |heard: &Heard| {
-                let (said, occupancy) = inverter.convert(&heard.observations, &model.conversion)?;
+                let (said, occupancy) = inverter
+                    .convert(&heard.observations, &model.conversion)
+                    .map_err(Error::other)?;
                 Ok(Prediction {
                     parameters: smooth(&said),
                     visemes: Some(viseme_weights(model, &occupancy)),
@@ -123,7 +134,9 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
             });
             candidate.with_iterations(move |heard: &Heard| {
                 let frames = heard.observations.nrows() as f64;
-                let estimates = again.iterations(&heard.observations, &SHOWN)?;
+                let estimates = again
+                    .iterations(&heard.observations, &SHOWN)
+                    .map_err(Error::other)?;
                 Ok(estimates
                     .into_iter()
                     .map(|e| Iteration {

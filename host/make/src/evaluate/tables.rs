@@ -39,7 +39,7 @@ pub fn summary(report: &Report) -> String {
 
 /// All tables for which there are numbers.
 pub fn tables(report: &Report) -> Vec<Table> {
-    let all = [
+    let wanted = [
         Some(scores(report)),
         against(report),
         closure(report),
@@ -51,7 +51,7 @@ pub fn tables(report: &Report) -> Vec<Table> {
         convergence_of_clips(report),
         Some(per_dimension(report)),
     ];
-    all.into_iter().flatten().collect()
+    wanted.into_iter().flatten().collect()
 }
 
 fn scores(report: &Report) -> Table {

@@ -2,12 +2,11 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
-
 use super::figures::figures;
 use super::plot::{escape, key};
 use super::report::Report;
 use super::tables::{Table, summary, tables};
+use crate::error::{Error, Result, bail};
 use lipstream_media::files;
 
 /// What stands over a report: how it was made.
@@ -42,6 +41,7 @@ impl Destination {
             Some("html") => Some(Form::Html),
             Some("json") => Some(Form::Json),
             Some(_) => bail!(
+                Choice,
                 "{}: the name must end in .md, .html or .json, or be a folder's",
                 path.display()
             ),
@@ -68,7 +68,7 @@ impl Destination {
                 Form::Html => html(heading, report)?,
                 Form::Json => json(report)?,
             };
-            files::write_bytes(path, text.as_bytes())?;
+            files::write_bytes(path, text.as_bytes()).map_err(Error::other)?;
         }
         Ok(self.0.iter().map(|(path, _)| path.clone()).collect())
     }

@@ -1,5 +1,5 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
-use anyhow::Result;
+use crate::error::Result;
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayBase, Data, Ix2, s};
 use rand::seq::SliceRandom;
@@ -10,12 +10,13 @@ use rayon::prelude::*;
 use super::data;
 use super::judge::centred;
 use super::pass::{Entropy, Masks, Tape, cross_entropy};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::store::Store;
 use lipstream::kinds::recurrent::chain::Chain;
 use lipstream::kinds::recurrent::model::LEAST;
-use lipstream::kinds::recurrent::parameters::{Parameters, normal};
+use lipstream::kinds::recurrent::parameters::Parameters;
 use lipstream::kinds::recurrent::step::Net;
+use lipstream::random::normal;
 
 /// One clip's part of a batch.
 pub(super) struct Share {
@@ -25,7 +26,7 @@ pub(super) struct Share {
 }
 
 pub(super) struct Trainer<'a> {
-    pub(super) settings: &'a Settings,
+    pub(super) settings: &'a MgeTrainSettings,
     pub(super) data: &'a data::Data,
     pub(super) chain: Chain,
     pub(super) context_mean: Vec<f32>,
@@ -102,10 +103,10 @@ impl Trainer<'_> {
                     [] => self.settings.context.look_ahead(),
                     some => some[rng.random_range(0..some.len())].min(self.settings.context.look_ahead()),
                 };
-                let all = variant.map_or(note.frames, |v| variants[v].1);
+                let length = variant.map_or(note.frames, |v| variants[v].1);
                 let warp = self.settings.warp;
                 let speed = 1.0 + warp * rng.random_range(-1.0f32..=1.0);
-                let whole = ((all - 1) as f32 / speed) as usize + 1;
+                let whole = ((length - 1) as f32 / speed) as usize + 1;
                 let frames = if crop {
                     self.settings.crop.min(whole)
                 } else {
@@ -145,7 +146,7 @@ impl Trainer<'_> {
             None => (&clip.x, 0),
             Some(v) => (&clip.variants[v].x, clip.variants[v].first),
         };
-        let all = of.nrows();
+        let length = of.nrows();
         let mut x = piece.cut(of, piece.frames + settings.context.look_ahead());
         let shift: [f32; N_STATIC] = std::array::from_fn(|_| settings.clip_noise * normal(rng));
         for mut row in x.outer_iter_mut() {
@@ -171,7 +172,7 @@ impl Trainer<'_> {
         let tape = Tape::forward(net, context, masks);
         let targets: Vec<(usize, usize)> = (0..piece.frames)
             .map(|t| {
-                let (before, after, share) = piece.place(t, all);
+                let (before, after, share) = piece.place(t, length);
                 clip.states[first + if share < 0.5 { before } else { after }]
             })
             .collect();
@@ -188,7 +189,7 @@ impl Trainer<'_> {
             atoms: settings.atoms,
         };
         if let (Some(mouth), false) = (&clip.mouth, piece.heard) {
-            let mouth = piece.cut(&mouth.slice(s![first..first + all, ..]), piece.frames);
+            let mouth = piece.cut(&mouth.slice(s![first..first + length, ..]), piece.frames);
             for t in 0..piece.frames {
                 for (d, w) in self.weights.iter().enumerate() {
                     let e = tape.output[[t, d]] - mouth[[t, d]];

@@ -1,10 +1,10 @@
 //! Where training stands, so that a killed run goes on to the same bytes.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::{Array1, ArrayView1};
 
 use super::optimise::Optimiser;
+use crate::error::{Context as _, Error, Result, bail};
 use lipstream::kinds::recurrent::parameters::{Parameters, Shape};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 
@@ -35,7 +35,7 @@ pub fn write(path: &Path, optimiser: &Optimiser, best: &Best, context_mean: &[f3
         out.put(name, &ArrayView1::from(values.as_slice()));
     }
     out.put("context_mean", &ArrayView1::from(context_mean));
-    out.write(path)
+    out.write(path).map_err(Error::other)
 }
 
 /// Reads what [`write()`] wrote; `None` where there is nothing. A checkpoint of another run is refused.
@@ -43,7 +43,7 @@ pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, B
     if !path.exists() {
         return Ok(None);
     }
-    let from = Tensors::read(path)?;
+    let from = Tensors::read(path).map_err(Error::other)?;
     let other = || {
         format!(
             "{} is the checkpoint of a training run with other settings or data: remove it to start anew",
@@ -52,10 +52,10 @@ pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, B
     };
     let written: String = from.noted("run").with_context(other)?;
     if written != format!("{run:016x}") {
-        bail!(other());
+        bail!(File, "{}", other());
     }
     let values = |name: &str| -> Result<Vec<f32>> {
-        let array: Array1<f32> = from.array(name)?;
+        let array: Array1<f32> = from.array(name).map_err(Error::other)?;
         Ok(array.to_vec())
     };
     let empty = Parameters::zeros(shape);
@@ -63,7 +63,7 @@ pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, B
         let mut p = empty.clone();
         let read = values(name)?;
         if read.len() != p.values.len() {
-            bail!(other());
+            bail!(File, "{}", other());
         }
         p.values = read;
         Ok(p)
@@ -73,13 +73,13 @@ pub fn read(path: &Path, shape: &Shape, run: u64) -> Result<Option<(Optimiser, B
         first: parameters("first")?.values,
         second: parameters("second")?.values,
         mean: parameters("mean")?,
-        step: from.noted("step")?,
+        step: from.noted("step").map_err(Error::other)?,
     };
-    let bits: String = from.noted("best.error")?;
+    let bits: String = from.noted("best.error").map_err(Error::other)?;
     let best = Best {
         error: f64::from_bits(u64::from_str_radix(&bits, 16).with_context(other)?),
         parameters: parameters("best")?,
-        pass: from.noted("best.pass")?,
+        pass: from.noted("best.pass").map_err(Error::other)?,
     };
     Ok(Some((optimiser, best, values("context_mean")?)))
 }

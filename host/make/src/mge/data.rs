@@ -1,21 +1,21 @@
 //! Clips as minimum generation error training sees them: statics, mouth, forced alignment.
 use std::path::Path;
 
-use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView1, ArrayView2, s};
 
 use super::disturb::{Disturbance, Variant};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::store::Store;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::em::{Aligner, Parameters as HmmParameters};
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use crate::noise;
-use crate::train::Say;
 use crate::train::data::{Clips, Observed};
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
+use lipstream::progress::Progress;
 use lipstream_media::sound;
 
 /// One clip.
@@ -44,36 +44,37 @@ pub struct Data {
     pub deviation: Vec<f32>,
 }
 
-/// Reads folders and aligns them with the likelihood-trained model `twin`. The clips are then in a file in `aside`, or in
+/// Reads folders and aligns them with the likelihood-trained model `parent`. The clips are then in a file in `aside`, or in
 /// memory.
 ///
-/// At most `settings.clips` training clips with video are taken; the last `settings.hold_out` of all training clips
-/// join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
+/// `settings.clips` training clips with video are taken, drawn by the seed; the last `settings.hold_out` of all training
+/// clips join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
 pub fn read(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    twin: &Model,
-    settings: &Settings,
+    parent: &Model,
+    settings: &MgeTrainSettings,
     aside: Option<&Path>,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Data> {
-    if folder.manifest.visual_size != twin.visual_size() {
+    if folder.manifest.visual_size != parent.visual_size() {
         bail!(
+            Choice,
             "{} holds {} mouth parameters, the model that training starts from speaks {}",
             folder.root.display(),
             folder.manifest.visual_size,
-            twin.visual_size()
+            parent.visual_size()
         );
     }
-    let mut train = Clips::new(folder, Split::Train, &twin.phones, say).readable(true, say);
-    let mut validation = Clips::new(folder, Split::Val, &twin.phones, say).readable(false, say);
-    let held = train.len().saturating_sub(settings.hold_out);
-    validation.extend(&train.split_off(held));
-    if let Some(clips) = settings.clips {
-        train.split_off(clips);
-    }
+    let mut train = Clips::new(folder, Split::Train, &parent.phones, progress).readable(true, progress);
+    let mut validation = Clips::new(folder, Split::Val, &parent.phones, progress).readable(false, progress);
+    validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let (mut sound, mut mouth) = (Deviations::default(), Deviations::default());
     in_order(
@@ -89,10 +90,10 @@ pub fn read(
     let deviation: Vec<f32> = mouth.deviations().collect();
     let hmm = HmmParameters {
         topology: Topology::PH_VI_CHMM,
-        phones: twin.phones.clone(),
-        audio: twin.audio.clone(),
-        visual: Some(twin.visual.clone()),
-        transition: twin.transition.clone(),
+        phones: parent.phones.clone(),
+        audio: parent.audio.clone(),
+        visual: Some(parent.visual.clone()),
+        transition: parent.transition.clone(),
     };
     let reader = Reader {
         aligner: Aligner::new(&hmm),
@@ -100,14 +101,14 @@ pub fn read(
             (0, _) => Vec::new(),
             (_, []) => voices(folder)?,
             (_, others) => {
-                let all: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
-                all.concat()
+                let voices: Vec<_> = others.iter().map(voices).collect::<Result<_>>()?;
+                voices.concat()
             }
         },
         scale: &scale,
         deviation: &deviation,
         seed: settings.seed,
-        say,
+        progress,
     };
     let mut data = Data {
         train: Store::new(aside)?,
@@ -118,12 +119,25 @@ pub fn read(
     };
     reader.read(folder, &train, settings.variants, &mut data.train)?;
     for other in audio_only {
-        let clips = Clips::new(other, Split::Train, &twin.phones, say).observed(Observed::Sound);
-        let clips = clips.readable(false, say);
+        let clips = Clips::new(other, Split::Train, &parent.phones, progress).observed(Observed::Sound);
+        let clips = clips.readable(false, progress);
         reader.read(other, &clips, settings.variants, &mut data.heard)?;
     }
     reader.read(folder, &validation, 0, &mut data.validation)?;
     Ok(data)
+}
+
+/// Leaves in `train` the clips to train on, and returns those that are held out.
+///
+/// The last clips are held out before any are drawn: who is validated on does not depend on `settings.clips`. Without a
+/// hold-out the clips that stay are those that likelihood training with the same seed has drawn, so that the alignment
+/// comes from a model that has seen them.
+fn hold_out_and_draw<'a>(train: &mut Clips<'a>, settings: &MgeTrainSettings) -> Clips<'a> {
+    let held = train.split_off(train.len().saturating_sub(settings.hold_out));
+    if let Some(clips) = settings.clips {
+        train.draw(clips, settings.seed);
+    }
+    held
 }
 
 /// Makes clips of utterances.
@@ -134,7 +148,7 @@ struct Reader<'a> {
     scale: &'a [f32],
     deviation: &'a [f32],
     seed: u64,
-    say: Say<'a>,
+    progress: &'a dyn Progress,
 }
 
 impl Reader<'_> {
@@ -167,7 +181,8 @@ impl Reader<'_> {
         in_order(clips.len(), work, |clip| match clip {
             Ok(clip) => store.push(&clip),
             Err(id) => {
-                (self.say)(&format!("left out: clip {id}: no path through its words"));
+                self.progress
+                    .say(&format!("left out: clip {id}: no path through its words"));
                 Ok(())
             }
         })
@@ -180,7 +195,11 @@ fn voices(folder: &FeatureFolder) -> Result<Vec<Vec<i16>>> {
     let every = clips.len().div_ceil(VOICES).max(1);
     let chosen = clips.into_iter().step_by(every);
     chosen
-        .map(|clip| Ok(sound::read(&folder.wav_path(&clip.id))?.samples))
+        .map(|clip| {
+            Ok(sound::read(&folder.wav_path(&clip.id))
+                .map_err(Error::other)?
+                .samples)
+        })
         .collect()
 }
 
@@ -198,7 +217,9 @@ fn disturbed(
     }
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
     let start_mean: [f32; N_STATIC] = std::array::from_fn(|d| folder.manifest.start_mean[d]);
-    let samples = sound::read(&folder.wav_path(&clip.id))?.samples;
+    let samples = sound::read(&folder.wav_path(&clip.id))
+        .map_err(Error::other)?
+        .samples;
     let mut rng = noise::generator(seed, &clip.id, "disturbed");
     let variants = (0..variants).map(|_| {
         let disturbance = Disturbance::draw(clip.audio.nrows(), &mut rng);
@@ -237,5 +258,75 @@ impl Deviations {
             let mean = sum / n;
             (square / n - mean * mean).max(1e-6).sqrt() as f32
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::{Clip as Listed, MANIFEST_VERSION, Manifest, PhoneLabel};
+    use lipstream::phones::Phone;
+
+    /// A folder of silent training clips that is a manifest and no files.
+    fn folder(clips: usize) -> FeatureFolder {
+        let clip = |n: usize| Listed {
+            id: format!("clip-{n:02}"),
+            speaker: String::new(),
+            split: Split::Train,
+            audio_frames: 100,
+            video_frames: 25,
+            video_hz: 25.0,
+            words: Vec::new(),
+            phones: vec![PhoneLabel {
+                phone: "sil".into(),
+                start: 0.0,
+                end: 1.0,
+            }],
+        };
+        FeatureFolder {
+            root: "nowhere".into(),
+            manifest: Manifest {
+                version: MANIFEST_VERSION,
+                corpus: String::new(),
+                start_mean: vec![0.0; N_STATIC],
+                visual_size: 1,
+                clips: (0..clips).map(clip).collect(),
+                skipped: Vec::new(),
+            },
+        }
+    }
+
+    #[test]
+    fn clips_are_drawn_by_the_seed_as_likelihood_training_draws_them() {
+        let folder = folder(30);
+        let all = || Clips::new(&folder, Split::Train, &[Phone::SIL], &());
+        let ids = |clips: &Clips| clips.ids().map(str::to_owned).collect::<Vec<_>>();
+        let choose = |clips, seed, hold_out| {
+            let mut train = all();
+            let settings = MgeTrainSettings {
+                clips,
+                seed,
+                hold_out,
+                ..MgeTrainSettings::default()
+            };
+            let held = hold_out_and_draw(&mut train, &settings);
+            (ids(&train), ids(&held))
+        };
+        for seed in [0, 1, 2] {
+            let mut by_likelihood = all();
+            by_likelihood.draw(8, seed);
+            assert_eq!(choose(Some(8), seed, 0), (ids(&by_likelihood), vec![]));
+        }
+        assert_ne!(choose(Some(8), 1, 0), choose(Some(8), 2, 0));
+        let first = ids(&all())[..8].to_vec();
+        assert_ne!(choose(Some(8), 1, 0).0, first, "they are not the first ones");
+
+        // All are taken where nobody says how many, and those held out are the last ones either way.
+        assert_eq!(choose(None, 1, 0), (ids(&all()), vec![]));
+        let last = ids(&all())[26..].to_vec();
+        assert_eq!(choose(None, 1, 4), (ids(&all())[..26].to_vec(), last.clone()));
+        let (train, held) = choose(Some(8), 1, 4);
+        assert_eq!((train.len(), &held), (8, &last));
+        assert!(train.iter().all(|id| !last.contains(id)));
     }
 }

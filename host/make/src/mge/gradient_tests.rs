@@ -7,10 +7,9 @@ use super::pass::{Entropy, Masks, Tape, cross_entropy};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS, VISUAL};
 use lipstream::kinds::recurrent::context::Context;
-use lipstream::kinds::recurrent::parameters::{
-    Feedback, GROUPS, Gate, Group, Parameters, Shape, fill_normal, normal,
-};
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use lipstream::kinds::recurrent::step::Net;
+use lipstream::random::{fill_normal, normal};
 use lipstream::synthetic::phones_and_arcs;
 
 struct Problem {

@@ -1,10 +1,10 @@
 //! How good a set of parameters is on clips that it was not trained on.
-use anyhow::Result;
 use ndarray::Array2;
 
 use super::pass::{Masks, Tape};
 use super::store::Store;
 use crate::em::source::in_order;
+use crate::error::Result;
 use crate::evaluate::metrics::Score;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::recurrent::chain::Chain;
@@ -71,30 +71,30 @@ pub fn judge(
         visemes: 0,
         visual_states: 0,
     };
-    let judge_one = |n: usize| {
+    let judge_clip = |n: usize| {
         let clip = clips.get(n)?;
-        let mut one = empty();
+        let mut judged = empty();
         let frames = clip.x.nrows();
         let stacked = parameters.shape.context.stack_within(&clip.x, frames, ahead);
         let context = centred(&stacked, context_mean);
         let tape = Tape::forward(&net, context, Masks::default());
         if let Some(mouth) = &clip.mouth {
             let scaled = |m: &Array2<f32>| m * &ndarray::ArrayView1::from(deviation);
-            one.score.add(&scaled(mouth), &scaled(&tape.output));
+            judged.score.add(&scaled(mouth), &scaled(&tape.output));
         }
         for t in 0..frames {
             let (a, v) = clip.states[t];
             let (audio, visual) = (tape.audio.row(t).to_vec(), tape.visual.row(t).to_vec());
-            one.frames += 1;
-            one.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);
-            one.visemes += usize::from(largest(&visual, N_EMITTING) == v / N_EMITTING);
-            one.visual_states += usize::from(largest(&visual, 1) == v);
+            judged.frames += 1;
+            judged.phones += usize::from(largest(&audio, N_EMITTING) == a / N_EMITTING);
+            judged.visemes += usize::from(largest(&visual, N_EMITTING) == v / N_EMITTING);
+            judged.visual_states += usize::from(largest(&visual, 1) == v);
         }
-        Ok(one)
+        Ok(judged)
     };
     let mut total = empty();
-    in_order(clips.len(), judge_one, |one| {
-        total.merge(&one);
+    in_order(clips.len(), judge_clip, |judged| {
+        total.merge(&judged);
         Ok(())
     })?;
     Ok(total)

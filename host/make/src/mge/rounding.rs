@@ -2,7 +2,7 @@
 //!
 //! Every row of a matrix has its own scale, max|row| / (2^(bits−1) − 1); rates are stored as λ itself, unsigned. Biases,
 //! means and the transitions stay as they are: they are small and of 16 bits on the device.
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Group, sigmoid};
 use lipstream::kinds::recurrent::step::rate_group;
 
@@ -23,7 +23,7 @@ pub const ROUNDED: [Group; 12] = [
 ];
 
 /// The model with tables of `bits` bits, 2 to 16.
-pub fn rounded(model: &MgeModel, bits: u32) -> MgeModel {
+pub fn rounded(model: &RecurrentModel, bits: u32) -> RecurrentModel {
     let mut out = model.clone();
     let shape = out.parameters.shape.clone();
     let most = ((1u32 << (bits.clamp(2, 16) - 1)) - 1) as f32;
@@ -51,7 +51,8 @@ pub fn rounded(model: &MgeModel, bits: u32) -> MgeModel {
 mod tests {
     use super::*;
     use lipstream::kinds::recurrent::context::Context;
-    use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Parameters, Shape, fill_normal};
+    use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Parameters, Shape};
+    use lipstream::random::fill_normal;
     use lipstream::synthetic::{self, Sizes};
     use rand::SeedableRng;
     use rand_pcg::Pcg64;
@@ -59,9 +60,9 @@ mod tests {
     #[test]
     fn no_number_moves_by_more_than_half_a_step() {
         let mut rng = Pcg64::seed_from_u64(1);
-        let twin = synthetic::model(&Sizes::small(), 2.0, &mut rng);
+        let parent = synthetic::model(&Sizes::small(), 2.0, &mut rng);
         let mut parameters = Parameters::zeros(&Shape {
-            phones: twin.phones.len(),
+            phones: parent.phones.len(),
             context: Context::default(),
             inputs: 4,
             memory: 6,
@@ -72,14 +73,14 @@ mod tests {
         });
         fill_normal(&mut parameters.values, 0.0, 1.0, &mut rng);
         let shape = parameters.shape.clone();
-        let model = MgeModel {
+        let model = RecurrentModel {
             context_mean: vec![0.0; shape.context.size()],
             scale: vec![1.0; 13],
             deviation: vec![1.0; 5],
             least: 0.0,
             validation_amse: None,
             provenance: String::new(),
-            twin,
+            parent,
             parameters,
         };
         for bits in [4, 8] {

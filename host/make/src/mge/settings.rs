@@ -1,14 +1,14 @@
 //! Choices of a training run.
-use anyhow::{Result, bail};
 
 use super::optimise::Rule;
 use super::start::StartSettings;
+use crate::error::{Error, Result, bail};
 use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
 
 /// Choices of a training run.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
+pub struct MgeTrainSettings {
     pub context: Context,
     pub inputs: usize,
     pub memory: usize,
@@ -46,13 +46,13 @@ pub struct Settings {
     pub rule: Rule,
     pub start: StartSettings,
     pub seed: u64,
-    /// At most so many training clips with video.
+    /// So many training clips with video, drawn by the seed; all where `None`.
     pub clips: Option<usize>,
     /// Training clips that join the validation clips.
     pub hold_out: usize,
 }
 
-impl Default for Settings {
+impl Default for MgeTrainSettings {
     fn default() -> Self {
         Self {
             context: Context::default(),
@@ -87,10 +87,10 @@ impl Default for Settings {
     }
 }
 
-impl Settings {
+impl MgeTrainSettings {
     /// Refuses in words what cannot be trained with.
     pub fn check(&self) -> Result<()> {
-        self.context.check()?;
+        self.context.check().map_err(Error::other)?;
         let ok = self.inputs > 0
             && self.memory > 0
             && self.passes > 0
@@ -99,7 +99,10 @@ impl Settings {
             && self.crop > 0
             && self.rates != Gate::Both;
         if !ok {
-            bail!("inputs, memory, passes, batch and crop must be at least 1, and one chain owns the rates");
+            bail!(
+                Choice,
+                "inputs, memory, passes, batch and crop must be at least 1, and one chain owns the rates"
+            );
         }
         for (name, share) in [
             ("dropout of the memory", self.output_dropout),
@@ -108,7 +111,7 @@ impl Settings {
             ("share of disturbed pieces", self.disturbed),
         ] {
             if !(0.0..1.0).contains(&share) {
-                bail!("the {name} is {share}: give 0 or more, less than 1");
+                bail!(Choice, "the {name} is {share}: give 0 or more, less than 1");
             }
         }
         let positive = [
@@ -122,7 +125,7 @@ impl Settings {
             self.rule.transition_rate,
         ];
         if positive.iter().any(|v| !(v.is_finite() && *v >= 0.0)) {
-            bail!("weights, noise, rates and decay must be 0 or more");
+            bail!(Choice, "weights, noise, rates and decay must be 0 or more");
         }
         Ok(())
     }

@@ -1,14 +1,15 @@
 //! Where minimum generation error training starts: directions and emissions from the forced alignment of the
 //! likelihood-trained model, the global map by least squares, the rest small and random.
-use anyhow::{Result, anyhow, bail};
 use nalgebra::DMatrix;
 use ndarray::{Array1, Array2};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use crate::em::source::in_order;
-use lipstream::kinds::recurrent::parameters::{Group, Parameters, Shape, fill_normal};
+use crate::error::{Error, Result, bail};
+use lipstream::kinds::recurrent::parameters::{Group, Parameters, Shape};
 use lipstream::kinds::recurrent::step::rate_group;
+use lipstream::random::fill_normal;
 
 /// One clip for the start: contexts `[T, C]`, states of the alignment, mouth `[T, D]` (standardised) if it has one.
 pub struct Seen {
@@ -20,7 +21,7 @@ pub struct Seen {
 /// How many clips there are, and what reads one.
 pub type Clips<'a> = (usize, &'a (dyn Fn(usize) -> Result<Seen> + Sync));
 
-/// Settings of the start.
+/// MgeTrainSettings of the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartSettings {
     /// Factor on the linear discriminants that become emissions.
@@ -66,7 +67,7 @@ fn moments(c: usize, clips: &Clips) -> Result<Moments> {
         Ok(())
     })?;
     if n == 0.0 {
-        bail!("no clip to start from")
+        bail!(Data, "no clip to start from")
     }
     let mean = sum / n;
     let covariance = DMatrix::from_fn(c, c, |i, j| second[[i, j]] / n - mean[i] * mean[j]);
@@ -111,7 +112,7 @@ pub fn start(
     let c = shape.context.size();
     let (z, h, d, a) = (shape.inputs, shape.memory, shape.outputs, shape.audio_states());
     if z > c {
-        bail!("{z} inputs are more than the {c} numbers of a context");
+        bail!(Choice, "{z} inputs are more than the {c} numbers of a context");
     }
     let Moments { n, mean, covariance } = moments(c, clips)?;
     let mut sums = ByState {
@@ -137,7 +138,7 @@ pub fn start(
         Ok(())
     })?;
     if seen == 0.0 {
-        bail!("no clip with a mouth to start from");
+        bail!(Data, "no clip with a mouth to start from");
     }
     // Whitening.
     let (values, vectors) = eigen(covariance.clone());
@@ -198,7 +199,7 @@ pub fn start(
     }
     let factor = within
         .cholesky()
-        .ok_or_else(|| anyhow!("the within-state covariance is singular"))?;
+        .ok_or_else(|| Error::Numbers("the within-state covariance is singular".into()))?;
     let discriminants = factor.solve(&means);
     let scale = settings.emission_scale;
 
@@ -209,7 +210,7 @@ pub fn start(
     }
     let global = gram
         .cholesky()
-        .ok_or_else(|| anyhow!("the inputs' covariance is singular"))?
+        .ok_or_else(|| Error::Numbers("the inputs' covariance is singular".into()))?
         .solve(&(&projection * &cross / seen));
 
     let mut p = Parameters::zeros(shape);

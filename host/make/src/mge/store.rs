@@ -1,12 +1,12 @@
 //! Clips of a training run, read when their turn comes.
 use std::path::Path;
 
-use anyhow::Result;
 use lipstream_core::N_STATIC;
 use ndarray::Array2;
 
 use super::data::Clip;
 use super::disturb::Variant;
+use crate::error::Result;
 use crate::shelf::Shelf;
 
 /// What is known of a clip without reading it.

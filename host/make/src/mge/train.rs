@@ -10,7 +10,6 @@
 use std::path::Path;
 use std::time::Instant;
 
-use anyhow::{Result, bail};
 use ndarray::Array2;
 
 use super::batch::Trainer;
@@ -18,50 +17,51 @@ use super::checkpoint::{self, Best};
 use super::data::{self, Clip, Data};
 use super::judge::{Judgement, judge};
 use super::optimise::{Optimiser, Rule};
-use super::settings::Settings;
+use super::settings::MgeTrainSettings;
 use super::start::{Seen, start};
 use crate::em::source::in_order;
+use crate::error::{Error, Result, bail};
 use crate::features::FeatureFolder;
-use crate::train::Say;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS};
-use lipstream::kinds::recurrent::model::{LEAST, MgeModel, check_twin};
+use lipstream::kinds::recurrent::model::{LEAST, RecurrentModel, check_parent};
 use lipstream::kinds::recurrent::parameters::{Parameters, Shape};
+use lipstream::progress::Progress;
 
-/// Trains, beginning at the likelihood-trained `twin`. `checkpoint` is where an interrupted run left off and will
+/// Trains, beginning at the likelihood-trained `parent`. `checkpoint` is where an interrupted run left off and will
 /// leave off.
 pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    twin: &Model,
-    settings: &Settings,
+    parent: &Model,
+    settings: &MgeTrainSettings,
     checkpoint: Option<&Path>,
-    say: Say,
-) -> Result<MgeModel> {
+    progress: &dyn Progress,
+) -> Result<RecurrentModel> {
     settings.check()?;
-    check_twin(twin)?;
-    say("forced alignment with the likelihood-trained model");
+    check_parent(parent).map_err(Error::other)?;
+    progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
-    let data = data::read(folder, audio_only, twin, settings, aside, say)?;
-    say(&format!(
+    let data = data::read(folder, audio_only, parent, settings, aside, progress)?;
+    progress.say(&format!(
         "{} clips with video, {} with sound only, {} to validate on",
         data.train.len(),
         data.heard.len(),
         data.validation.len()
     ));
-    train_on(&data, twin, settings, checkpoint, say)
+    train_on(&data, parent, settings, checkpoint, progress)
 }
 
 /// [`train`] on data that has been read.
 pub fn train_on(
     data: &Data,
-    twin: &Model,
-    settings: &Settings,
+    parent: &Model,
+    settings: &MgeTrainSettings,
     checkpoint_path: Option<&Path>,
-    say: Say,
-) -> Result<MgeModel> {
+    progress: &dyn Progress,
+) -> Result<RecurrentModel> {
     let shape = Shape {
-        phones: twin.phones.len(),
+        phones: parent.phones.len(),
         context: settings.context.clone(),
         inputs: settings.inputs,
         memory: settings.memory,
@@ -79,7 +79,7 @@ pub fn train_on(
     let mut trainer = Trainer {
         settings,
         data,
-        chain: Chain::new(&twin.phones, &twin.transition, &twin.bigram),
+        chain: Chain::new(&parent.phones, &parent.transition, &parent.bigram),
         context_mean: Vec::new(),
         weights: powers.iter().map(|p| p / sum).collect(),
     };
@@ -96,12 +96,12 @@ pub fn train_on(
     };
     let (mut optimiser, mut best) = match found {
         Some((optimiser, best, context_mean)) => {
-            say(&format!("going on after step {} of {steps}", optimiser.step));
+            progress.say(&format!("going on after step {} of {steps}", optimiser.step));
             trainer.context_mean = context_mean;
             (optimiser, best)
         }
         None => {
-            let (parameters, mean) = begin(&shape, data, twin, settings)?;
+            let (parameters, mean) = begin(&shape, data, parent, settings)?;
             trainer.context_mean = mean;
             let best = Best {
                 error: f64::INFINITY,
@@ -111,7 +111,7 @@ pub fn train_on(
             (Optimiser::new(parameters), best)
         }
     };
-    say(&format!(
+    progress.say(&format!(
         "{} parameters, {:.1} KiB of tables in i8; {steps} steps",
         optimiser.parameters.values.len(),
         optimiser.parameters.table_size() as f64 / 1024.0
@@ -128,6 +128,7 @@ pub fn train_on(
         };
         let Some(moved) = moved else {
             bail!(
+                Numbers,
                 "training diverged at step {} of {steps} (loss {}): lower the learning rate, now {}",
                 step + 1,
                 share.error,
@@ -141,7 +142,7 @@ pub fn train_on(
         if optimiser.step % trainer.steps_per_pass() == 0 {
             let pass = optimiser.step / trainer.steps_per_pass();
             let seen = validate(&trainer, &optimiser, pass, &mut best)?;
-            say(&format!(
+            progress.say(&format!(
                 "pass {pass}/{}: error {:.4}, entropy {:.4}, gradient up to {length:.2}; {seen}; {:.1} s",
                 settings.passes,
                 error / f64::from(count),
@@ -155,7 +156,7 @@ pub fn train_on(
             (error, entropy, length, count) = (0.0, 0.0, 0.0, 0);
         }
     }
-    say(&format!("the parameters after pass {} are kept", best.pass));
+    progress.say(&format!("the parameters after pass {} are kept", best.pass));
     let validation_amse = match data.validation.is_empty() {
         true => None,
         false => {
@@ -163,8 +164,8 @@ pub fn train_on(
             Some(judged(&trainer, &best.parameters, ahead)?.score.amse())
         }
     };
-    Ok(MgeModel {
-        twin: twin.clone(),
+    Ok(RecurrentModel {
+        parent: parent.clone(),
         parameters: best.parameters,
         validation_amse,
         context_mean: trainer.context_mean,
@@ -185,12 +186,17 @@ pub fn train_on(
                 .join(", "),
             settings.passes,
             settings.seed,
-            twin.provenance
+            parent.provenance
         ),
     })
 }
 
-fn begin(shape: &Shape, data: &Data, twin: &Model, settings: &Settings) -> Result<(Parameters, Vec<f32>)> {
+fn begin(
+    shape: &Shape,
+    data: &Data,
+    parent: &Model,
+    settings: &MgeTrainSettings,
+) -> Result<(Parameters, Vec<f32>)> {
     let seen = |n: usize| {
         let own = data.train.len();
         let clip = match n < own {
@@ -205,13 +211,13 @@ fn begin(shape: &Shape, data: &Data, twin: &Model, settings: &Settings) -> Resul
     };
     let transition = Array2::from_shape_vec(
         (shape.phones, ROWS),
-        twin.transition.iter().copied().collect::<Vec<f32>>(),
+        parent.transition.iter().copied().collect::<Vec<f32>>(),
     )?;
     let (parameters, mean) = start(
         shape,
         &(data.train.len() + data.heard.len(), &seen),
         &transition,
-        &twin.initial.to_vec(),
+        &parent.initial.to_vec(),
         &settings.start,
         settings.seed,
     )?;
@@ -241,6 +247,7 @@ fn validate(trainer: &Trainer, optimiser: &Optimiser, pass: usize, best: &mut Be
     let amse = seen.iter().map(|s| s.score.amse()).sum::<f64>() / seen.len() as f64;
     if !amse.is_finite() {
         bail!(
+            Numbers,
             "training diverged in pass {pass}: lower the learning rate, now {}",
             trainer.settings.rule.rate
         );
@@ -284,7 +291,7 @@ fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Result<Ju
 }
 
 /// A number that settings and data share with no other run (FNV-1a).
-fn fingerprint(settings: &Settings, data: &Data) -> Result<u64> {
+fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
     let mut hash = 0xcbf2_9ce4_8422_2325u64;
     let mut eat = |bytes: &[u8]| {
         for b in bytes {

@@ -1,16 +1,17 @@
 //! The second stage (X&L section 3.4): the audio densities on many speakers, and what phones that the video lacks are
 //! given: their sound from the other speakers, their look from their viseme.
-use anyhow::Result;
 use ndarray::{Array3, Axis};
 
+use super::TrainSettings;
 use super::data::{Clips, Observed};
 use super::em::{Aligned, Coupled, passes, split_audio};
-use super::{Say, Settings};
 use crate::em::{Parameters, Start};
+use crate::error::Result;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::Density;
 use lipstream::hmm::topology::VisualAtom;
+use lipstream::progress::Progress;
 
 /// Which phones the clips' networks hold.
 pub(super) fn seen(train: &Clips, n: usize) -> Vec<bool> {
@@ -95,10 +96,10 @@ pub(super) fn all_speakers<'a>(
 ) -> Result<(Start, Clips<'a>)> {
     let mut start = aligned.sound;
     start.add_all(heard)?;
-    let mut all = train.observed(Observed::Sound);
-    all.keep(&aligned.fits);
-    all.extend(heard);
-    Ok((start, all))
+    let mut clips = train.observed(Observed::Sound);
+    clips.keep(&aligned.fits);
+    clips.extend(heard);
+    Ok((start, clips))
 }
 
 /// The audio HMM alone. Where densities are joint its components stay those of the mouth: they are trained on, not grown
@@ -107,9 +108,9 @@ pub(super) fn retrain(
     before: &Parameters,
     seen: &[bool],
     density: Density,
-    (start, all): (Start, Clips),
-    settings: &Settings,
-    say: Say,
+    (start, clips): (Start, Clips),
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<Mixtures> {
     let (mut parameters, floors, _) = start.finish();
     let components = before.audio.mean.dim().1;
@@ -117,7 +118,7 @@ pub(super) fn retrain(
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     }
     loop {
-        let sums = passes(&mut parameters, &all, &floors, None, settings, say)?;
+        let sums = passes(&mut parameters, &clips, &floors, None, settings, progress)?;
         if parameters.audio.mean.dim().1 >= components {
             return Ok(parameters.audio);
         }

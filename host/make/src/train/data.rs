@@ -2,19 +2,19 @@
 //! when their turn comes.
 use std::borrow::Cow;
 
-use anyhow::{Context as _, Result, bail};
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
-use super::Say;
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::network::PhoneNetwork;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// Centre of audio frame t in seconds.
 pub fn frame_time(t: usize) -> f32 {
@@ -81,7 +81,7 @@ fn start_labels(
     index: &dyn Fn(Phone) -> Option<usize>,
 ) -> Result<Vec<(usize, usize)>> {
     let Some(silence) = index(Phone::SIL) else {
-        bail!("the model has no phone for silence")
+        bail!(Data, "the model has no phone for silence")
     };
     let mut out = vec![(silence, N_EMITTING / 2); frames];
     for label in labels {
@@ -119,12 +119,14 @@ pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Op
 fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
     let Some(network) = network(clip, index) else {
         bail!(
+            Data,
             "clip {}: its transcript holds a phone that the model does not have, or none at all",
             clip.id
         )
     };
     if network.shortest(N_EMITTING) > clip.audio_frames {
         bail!(
+            Data,
             "clip {}: {} frames are too few for its phones",
             clip.id,
             clip.audio_frames
@@ -160,48 +162,53 @@ impl<'a> Clips<'a> {
         }
     }
 
-    /// The clips that can be used; `say` names the others. Looks at the manifest only.
-    pub fn new(folder: &'a FeatureFolder, split: Split, phones: &'a [Phone], say: Say) -> Self {
-        let mut all = Self {
+    /// The clips that can be used; `progress` hears of the others. Looks at the manifest only.
+    pub fn new(
+        folder: &'a FeatureFolder,
+        split: Split,
+        phones: &'a [Phone],
+        progress: &dyn Progress,
+    ) -> Self {
+        let mut clips = Self {
             clips: folder.split(split).map(|clip| (folder, clip)).collect(),
             ..Self::none(phones)
         };
-        let fit = all
+        let fit = clips
             .clips
             .iter()
-            .map(|(_, clip)| usable(clip, &all.index()).map(drop));
+            .map(|(_, clip)| usable(clip, &clips.index()).map(drop));
         let fit: Vec<Result<()>> = fit.collect();
-        all.leave_out(fit, say);
-        all
+        clips.leave_out(fit, progress);
+        clips
     }
 
     /// Those whose files can be read, and have a mouth if they are to.
-    pub fn readable(mut self, with_video: bool, say: Say) -> Self {
+    pub fn readable(mut self, with_video: bool, progress: &dyn Progress) -> Self {
         let mut read = Vec::new();
-        let try_one = |n: usize| {
+        let try_clip = |n: usize| {
             let utterance = self.get(n);
             Ok(utterance.and_then(|u| match with_video && u.visual.is_none() {
-                true => bail!("clip {}: it has no video", u.id),
+                true => bail!(Data, "clip {}: it has no video", u.id),
                 false => Ok(()),
             }))
         };
-        let all = in_order(self.len(), try_one, |one| {
-            read.push(one);
+        let outcome = in_order(self.len(), try_clip, |tried| {
+            read.push(tried);
             Ok(())
         });
-        debug_assert!(all.is_ok(), "what cannot be read is no error here");
-        self.leave_out(read, say);
+        debug_assert!(outcome.is_ok(), "what cannot be read is no error here");
+        self.leave_out(read, progress);
         self
     }
 
-    fn leave_out(&mut self, fit: Vec<Result<()>>, say: Say) {
+    fn leave_out(&mut self, fit: Vec<Result<()>>, progress: &dyn Progress) {
         let before = self.len();
         for error in fit.iter().filter_map(|f| f.as_ref().err()) {
-            say(&format!("left out: {error:#}"));
+            progress.say(&format!("left out: {}", chain(error)));
         }
         self.keep(&fit.iter().map(Result::is_ok).collect::<Vec<_>>());
         if self.len() < before {
-            say(&format!(
+            progress.say(&format!(
                 "{} clips left out, {} used",
                 before - self.len(),
                 self.len()
@@ -243,6 +250,11 @@ impl<'a> Clips<'a> {
     /// Adds the clips of another folder.
     pub fn extend(&mut self, other: &Self) {
         self.clips.extend(&other.clips);
+    }
+
+    /// The names of the clips.
+    pub fn ids(&self) -> impl Iterator<Item = &str> {
+        self.clips.iter().map(|(_, clip)| clip.id.as_str())
     }
 
     /// The networks of the clips; reads none.
@@ -292,7 +304,7 @@ impl Source for Clips<'_> {
 pub(super) fn stacked(apart: Utterance) -> Result<Utterance> {
     let visual = apart
         .visual
-        .with_context(|| format!("clip {} has no video", apart.id))?;
+        .ok_or_else(|| Error::Data(format!("clip {} has no video", apart.id)))?;
     let audio: Array2<f32> = concatenate(Axis(1), &[apart.audio.view(), visual.view()])?;
     Ok(Utterance {
         audio: audio.as_standard_layout().into_owned(),
@@ -301,7 +313,7 @@ pub(super) fn stacked(apart: Utterance) -> Result<Utterance> {
     })
 }
 
-/// Phones that a split's clips may say, in table order, silence always among them.
+/// Phones that a split's clips may progress, in table order, silence always among them.
 pub fn phones_said<'a>(clips: impl Iterator<Item = &'a Clip>) -> Vec<Phone> {
     let mut said: Vec<Phone> = vec![Phone::SIL, Phone::SP];
     for clip in clips {

@@ -2,23 +2,24 @@
 //! clips grow likelier.
 use std::time::Instant;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::{Array3, s};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
+use super::TrainSettings;
 use super::bigram::{self, Said};
 use super::data::{Clips, Observed, stacked};
 use super::state::State;
-use super::{Say, Settings};
 use crate::em::density::{self, Floors};
 use crate::em::source::{Source, in_order};
 use crate::em::{self, Aligner, Parameters};
+use crate::error::{Error, Result, bail};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::{Density, System};
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 
 /// Frames that a component must have before it is split.
 pub(super) const ENOUGH_TO_SPLIT: f64 = 30.0;
@@ -49,12 +50,12 @@ pub(super) fn coupled(
     validation: &Clips,
     phones: &[Phone],
     system: System,
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<Coupled> {
     let observed = observed(system);
     let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
-    let parameters = grow(&train_on, &judge_on, phones, system, settings, say)?;
+    let parameters = grow(&train_on, &judge_on, phones, system, settings, progress)?;
     finish(parameters, train, observed)
 }
 
@@ -71,6 +72,7 @@ pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Resu
     let parameters = state.parameters.clone();
     if parameters.phones != phones {
         bail!(
+            Choice,
             "the state is over {} phones, the clips say {}: start it with the same folders",
             parameters.phones.len(),
             phones.len()
@@ -84,7 +86,10 @@ pub(super) fn from_state(state: &State, train: &Clips, phones: &[Phone]) -> Resu
     let clips = train.observed(observed);
     let first = clips.get(0)?;
     if have != (first.audio.ncols(), first.visual.as_ref().map(|v| v.ncols())) {
-        bail!("the state is of other features: start it with the same folders");
+        bail!(
+            Choice,
+            "the state is of other features: start it with the same folders"
+        );
     }
     finish(parameters, train, observed)
 }
@@ -156,8 +161,8 @@ fn grow(
     validation: &Clips,
     phones: &[Phone],
     system: System,
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<Parameters> {
     let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
     let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
@@ -169,11 +174,11 @@ fn grow(
             &audio_floors,
             visual_floors.as_ref(),
             settings,
-            say,
+            progress,
         )?;
         if !validation.is_empty() {
             let unseen = em::expect(&parameters, validation)?.per_frame();
-            say(&format!("  validation clips: {unseen:.4} a frame"));
+            progress.say(&format!("  validation clips: {unseen:.4} a frame"));
             match &best {
                 Some((likeliest, before)) if unseen <= *likeliest => return Ok(before.clone()),
                 _ => best = Some((unseen, parameters.clone())),
@@ -208,14 +213,14 @@ pub(super) fn passes(
     clips: &Clips,
     audio: &Floors,
     visual: Option<&Floors>,
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<em::Sums> {
     let n = settings.iterations.max(1);
-    let stage = settings.progress.stage();
+    let stage = settings.resume.stage();
     let (mut done, mut last) = (0, None);
     if let Some((pass, kept, sums)) = stage.load(n, parameters) {
-        say(&format!("  {pass} of {n} passes were made before"));
+        progress.say(&format!("  {pass} of {n} passes were made before"));
         *parameters = kept;
         (done, last) = (pass, Some(sums));
     }
@@ -223,10 +228,10 @@ pub(super) fn passes(
         let begun = Instant::now();
         let sums = em::expect(parameters, clips)?;
         if sums.frames == 0 {
-            bail!("no utterance fits its transcript: check the labels");
+            bail!(Data, "no utterance fits its transcript: check the labels");
         }
         if !sums.failed.is_empty() {
-            say(&format!(
+            progress.say(&format!(
                 "no path through {} utterances: {}",
                 sums.failed.len(),
                 sums.failed.join(" ")
@@ -235,11 +240,11 @@ pub(super) fn passes(
         if pass == 1 {
             em::warnings(parameters, &sums, audio)
                 .iter()
-                .for_each(|line| say(line));
+                .for_each(|line| progress.say(line));
         }
         em::maximise(parameters, &sums, audio, visual);
         stage.save(pass, parameters, &sums)?;
-        say(&format!(
+        progress.say(&format!(
             "  K = {}: log likelihood {:.4} a frame ({:.1} s)",
             parameters.audio.mean.dim().1,
             sums.per_frame(),
@@ -247,5 +252,5 @@ pub(super) fn passes(
         ));
         last = Some(sums);
     }
-    last.context("at least one pass was made")
+    last.ok_or_else(|| Error::Choice("at least one pass was made".into()))
 }

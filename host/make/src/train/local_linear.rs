@@ -1,6 +1,6 @@
 //! Local linear visual densities fitted: the context's whitened projection and the ridge maps of
 //! [`lipstream::kinds::likelihood::local_linear`].
-use anyhow::{Result, anyhow};
+use crate::error::{Error, Result};
 use lipstream::kinds::likelihood::local_linear::with_bias;
 use lipstream::kinds::likelihood::{ContextMap, LocalLinear};
 use nalgebra::DMatrix;
@@ -33,10 +33,10 @@ impl ContextSums {
     pub fn solve(&self, taps: &[i32], size: usize) -> Result<ContextMap> {
         let d = self.first.len();
         if self.n < 2.0 || size == 0 || size > d {
-            return Err(anyhow!(
+            return Err(Error::Numbers(format!(
                 "cannot find {size} context components in {} frames of {d} numbers",
                 self.n
-            ));
+            )));
         }
         let mean = &self.first / self.n;
         let covariance = DMatrix::from_fn(d, d, |i, j| self.second[[i, j]] / self.n - mean[i] * mean[j]);
@@ -96,7 +96,7 @@ impl Ridge {
         let b = DMatrix::from_fn(n, self.xv.ncols(), |i, j| self.xv[[i, j]]);
         let w = a
             .cholesky()
-            .ok_or_else(|| anyhow!("ridge regression on singular data"))?
+            .ok_or_else(|| Error::Numbers("ridge regression on singular data".into()))?
             .solve(&b);
         Ok(Array2::from_shape_fn((self.xv.ncols(), n), |(i, j)| w[(j, i)]))
     }

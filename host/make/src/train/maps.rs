@@ -1,11 +1,11 @@
 //! The last stage: how the HMM is to be followed, and what it says. Local linear maps (DESIGN section 6) under the
 //! occupancies that conversion will see, and the exponents of conversion by means (X&L section 4).
-use anyhow::{Context as _, Result};
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};
 
-use super::{Say, Settings};
+use super::TrainSettings;
 use crate::em::source::{Source, Utterance, in_order};
+use crate::error::{Error, Result};
 use crate::evaluate::metrics::Score;
 use crate::train::local_linear::{ContextSums, MapSums};
 use lipstream::hmm::Hmm;
@@ -13,11 +13,12 @@ use lipstream::kinds::likelihood::convert::{Follower, Lag, smooth};
 use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::local_linear;
 use lipstream::kinds::likelihood::{ContextMap, EmSettings, Following, LocalLinear, MStep};
+use lipstream::progress::Progress;
 
 fn visual(u: &Utterance) -> Result<&Array2<f32>> {
     u.visual
         .as_ref()
-        .with_context(|| format!("clip {} has no video", u.id))
+        .ok_or_else(|| Error::Data(format!("clip {} has no video", u.id)))
 }
 
 /// Clips whose sums are added up before they join the others.
@@ -29,8 +30,8 @@ pub(crate) fn maps(
     hmm: &Hmm,
     train: &impl Source,
     judges: &impl Source,
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<(Following, ContextMap, LocalLinear)> {
     let statics = |u: &Utterance| u.audio.slice(s![.., ..N_STATIC]).to_owned();
     let mut sums = ContextSums::new(settings.taps.len() * N_STATIC);
@@ -56,7 +57,7 @@ pub(crate) fn maps(
             let mut sums = new_sums();
             for n in CHUNK * chunk..(CHUNK * (chunk + 1)).min(train.len()) {
                 let u = train.get(n)?;
-                sums.add(&project(&u), visual(&u)?, &occupancy(&u)?);
+                sums.add(&project(&u), visual(&u)?, &occupancy(&u).map_err(Error::other)?);
             }
             Ok(sums)
         };
@@ -71,7 +72,7 @@ pub(crate) fn maps(
         let mut scores = vec![Score::new(size); fitted.len()];
         let said = |n: usize| {
             let u = judges.get(n)?;
-            let (x, occupancy) = (project(&u), occupancy(&u)?);
+            let (x, occupancy) = (project(&u), occupancy(&u).map_err(Error::other)?);
             let said = fitted
                 .iter()
                 .map(|maps| smooth(&local_linear::apply(maps, &x, &occupancy)));
@@ -84,7 +85,7 @@ pub(crate) fn maps(
             Ok(())
         })?;
         for ((maps, score), penalty) in fitted.into_iter().zip(&scores).zip(&settings.penalties) {
-            say(&format!(
+            progress.say(&format!(
                 "  maps: acoustic scale {acoustic_scale}, penalty {penalty}: AMSE {:.2}, ACC {:.4} on {} validation clips",
                 score.amse(),
                 score.acc(),
@@ -99,7 +100,8 @@ pub(crate) fn maps(
             }
         }
     }
-    let (_, following, maps) = best.context("no acoustic scale or penalty to choose from")?;
+    let (_, following, maps) =
+        best.ok_or_else(|| Error::Choice("no acoustic scale or penalty to choose from".into()))?;
     Ok((following, context, maps))
 }
 
@@ -112,8 +114,8 @@ const MOST_ITERATIONS: usize = 5;
 pub(super) fn conversion(
     hmm: &Hmm,
     judges: &impl Source,
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<EmSettings> {
     let inverter = Inverter::new(*hmm);
     let mut best = (f64::INFINITY, EmSettings::default());
@@ -128,7 +130,7 @@ pub(super) fn conversion(
         let mut scores = vec![Score::new(size); MOST_ITERATIONS + 1];
         let estimates = |n: usize| {
             let u = judges.get(n)?;
-            let estimates = inverter.iterations(&u.audio, &with)?;
+            let estimates = inverter.iterations(&u.audio, &with).map_err(Error::other)?;
             Ok((visual(&u)?.clone(), estimates))
         };
         in_order(judges.len(), estimates, |(truth, estimates)| {
@@ -143,7 +145,7 @@ pub(super) fn conversion(
             }
         }
         let accs: Vec<String> = scores.iter().map(|s| format!("{:.3}", s.acc())).collect();
-        say(&format!(
+        progress.say(&format!(
             "  means: acoustic scale {acoustic_scale}, visual exponent {visual_exponent}: ACC per iteration {}",
             accs.join(" ")
         ));
@@ -156,7 +158,7 @@ pub(super) fn conversion(
     for exponent in &VISUAL_EXPONENTS[1..] {
         judge(acoustic_scale, *exponent, &mut best)?;
     }
-    say(&format!(
+    progress.say(&format!(
         "  means: visual exponent {}, {} iterations: AMSE {:.2}",
         best.1.visual_exponent, best.1.iterations, best.0
     ));

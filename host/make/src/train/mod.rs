@@ -6,28 +6,29 @@ pub mod data;
 mod em;
 pub mod local_linear;
 pub(crate) mod maps;
-pub mod progress;
+pub mod resume;
 pub mod shards;
 pub mod state;
 pub mod sums;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::Array1;
 
 use self::data::{Clips, Observed};
-use self::progress::Progress;
+use self::resume::Resume;
 use self::state::State;
 use crate::em::source::Source;
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use lipstream::hmm::Hmm;
 use lipstream::hmm::system::System;
 use lipstream::kinds::likelihood::Model;
 use lipstream::mouth::MouthSpace;
+use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 
 /// Choices of a training run.
 #[derive(Clone, Debug)]
-pub struct Settings {
+pub struct TrainSettings {
     pub system: System,
     /// Most components per audio state (or joint state), a power of two.
     pub audio_mixtures: usize,
@@ -50,12 +51,12 @@ pub struct Settings {
     /// 0: components split along all dimensions alike; else the directions are drawn.
     pub seed: u64,
     /// Where an interrupted run is taken up from; by default nothing is kept.
-    pub progress: Progress,
+    pub resume: Resume,
     /// The first stage as shards have done it, in place of joint EM.
     pub state: Option<State>,
 }
 
-impl Default for Settings {
+impl Default for TrainSettings {
     fn default() -> Self {
         Self {
             system: System::LOCAL_LINEAR,
@@ -69,52 +70,57 @@ impl Default for Settings {
             penalties: vec![100.0, 300.0, 1000.0],
             clips: None,
             seed: 0,
-            progress: Progress::default(),
+            resume: Resume::default(),
             state: None,
         }
     }
 }
 
-/// Where training says what it does.
-pub type Say<'a> = &'a dyn Fn(&str);
-
 /// Trains on the audio-visual clips of `folder` and the sound of every folder in `audio_only`.
 pub fn train(
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    settings: &Settings,
-    say: Say,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
 ) -> Result<Model> {
     if folder.manifest.visual_size == 0 {
         bail!(
+            Data,
             "{} has no video: a mouth cannot be learnt from sound alone",
             folder.root.display()
         );
     }
     for count in [settings.audio_mixtures, settings.visual_mixtures] {
         if !count.is_power_of_two() {
-            bail!("mixtures grow by splitting: {count} components are not a power of two");
+            bail!(
+                Choice,
+                "mixtures grow by splitting: {count} components are not a power of two"
+            );
         }
     }
     let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
     let phones = data::phones_said(folders.iter().flat_map(|f| f.split(Split::Train)));
-    let with_video = |split| Clips::new(folder, split, &phones, say).readable(true, say);
+    let with_video = |split| Clips::new(folder, split, &phones, progress).readable(true, progress);
     let mut train = with_video(Split::Train);
     if let Some(clips) = settings.clips {
         train.draw(clips, settings.seed);
     }
     let validation = with_video(Split::Val);
     if train.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let mut heard = Clips::none(&phones).observed(Observed::Sound);
     for folder in audio_only {
-        let clips = Clips::new(folder, Split::Train, &phones, say).observed(Observed::Sound);
-        heard.extend(&clips.readable(false, say));
+        let clips = Clips::new(folder, Split::Train, &phones, progress).observed(Observed::Sound);
+        heard.extend(&clips.readable(false, progress));
     }
 
     let system = settings.system;
-    say(&format!(
+    progress.say(&format!(
         "{}: {}\n{} phones; joint EM on {} clips",
         system.name,
         system.describe(),
@@ -123,23 +129,30 @@ pub fn train(
     ));
     let mut coupled = match &settings.state {
         Some(state) if state.system == system => em::from_state(state, &train, &phones)?,
-        Some(state) => bail!("the state is of {}, not of {}", state.system.name, system.name),
-        None => em::coupled(&train, &validation, &phones, system, settings, say)?,
+        Some(state) => bail!(
+            Choice,
+            "the state is of {}, not of {}",
+            state.system.name,
+            system.name
+        ),
+        None => em::coupled(&train, &validation, &phones, system, settings, progress)?,
     };
     let seen = audio::seen(&train, phones.len());
     coupled.parameters.transition = audio::pool_unseen(&coupled.parameters, &seen);
     audio::look_of_viseme(&mut coupled, &seen);
-    say("audio densities on all speakers");
+    progress.say("audio densities on all speakers");
     let em::Coupled { parameters, aligned } = coupled;
     let (initial, bigram) = bigram::bigram(phones.len(), &aligned.said, &heard);
     let audio = match heard.is_empty() {
         true => parameters.audio,
         false => {
-            let all = audio::all_speakers(aligned, &train, &heard)?;
-            audio::retrain(&parameters, &seen, system.density, all, settings, say)?
+            let speakers = audio::all_speakers(aligned, &train, &heard)?;
+            audio::retrain(&parameters, &seen, system.density, speakers, settings, progress)?
         }
     };
-    let visual = parameters.visual.context("joint EM left no visual densities")?;
+    let visual = parameters
+        .visual
+        .ok_or_else(|| Error::Numbers("joint EM left no visual densities".into()))?;
     let hmm = Hmm {
         topology: system.topology,
         density: system.density,
@@ -150,15 +163,17 @@ pub fn train(
         initial: &initial,
         bigram: &bigram,
     };
-    say("how it is followed, and what it says");
+    progress.say("how it is followed, and what it says");
     let judges = match validation.is_empty() {
         true => &train,
         false => &validation,
     };
-    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, say)?;
-    let conversion = maps::conversion(&hmm, judges, settings, say)?;
+    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, progress)?;
+    let conversion = maps::conversion(&hmm, judges, settings, progress)?;
     let mouth = match folder.mouth_path() {
-        path if path.exists() => Some(MouthSpace::load(&Tensors::read(&path)?)?),
+        path if path.exists() => {
+            Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
+        }
         _ => None,
     };
     let provenance = format!(

@@ -2,40 +2,56 @@
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
 use lipstream_core::model::container::checksum;
 
 use super::data::{self, Clips};
+use super::em as joint;
 use super::state::State;
 use super::sums::{self, Origin};
-use super::{Say, em as joint};
 use crate::em::density::{self, Accumulator};
 use crate::em::source::Source;
 use crate::em::{self, Sums};
+use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::System;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 use lipstream_media::files;
 
 /// The training clips of a folder as `system` sees them.
-pub fn clips<'a>(folder: &'a FeatureFolder, system: System, phones: &'a [Phone], say: Say) -> Clips<'a> {
-    Clips::new(folder, Split::Train, phones, say).observed(joint::observed(system))
+pub fn clips<'a>(
+    folder: &'a FeatureFolder,
+    system: System,
+    phones: &'a [Phone],
+    progress: &dyn Progress,
+) -> Clips<'a> {
+    Clips::new(folder, Split::Train, phones, progress).observed(joint::observed(system))
 }
 
 /// The state before the first pass: one Gaussian a state, from the labels. `others` hold phones that the folder lacks.
-pub fn start(folder: &FeatureFolder, others: &[FeatureFolder], system: System, say: Say) -> Result<State> {
+pub fn start(
+    folder: &FeatureFolder,
+    others: &[FeatureFolder],
+    system: System,
+    progress: &dyn Progress,
+) -> Result<State> {
     if folder.manifest.visual_size == 0 {
         bail!(
+            Data,
             "{} has no video: a mouth cannot be learnt from sound alone",
             folder.root.display()
         );
     }
     let folders = std::iter::once(folder).chain(others);
     let phones = data::phones_said(folders.flat_map(|f| f.split(Split::Train)));
-    let clips = clips(folder, system, &phones, say);
+    let clips = clips(folder, system, &phones, progress);
     if clips.is_empty() {
-        bail!("{} has no training clip that can be used", folder.root.display());
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
     }
     let (parameters, audio_floors, visual_floors) = em::start(&clips, system.topology, &phones)?;
     Ok(State {
@@ -58,12 +74,12 @@ pub fn accumulate(
     folder: &FeatureFolder,
     state: &State,
     (shard, of): (usize, usize),
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Sums> {
-    let clips = clips(folder, state.system, &state.parameters.phones, say);
+    let clips = clips(folder, state.system, &state.parameters.phones, progress);
     let range = share(shard, of, clips.len());
     if range.is_empty() {
-        say(&format!(
+        progress.say(&format!(
             "shard {shard} of {of} has no clips: there are {} in pieces of {}",
             clips.len(),
             em::chunk_range(0, 1, usize::MAX).end
@@ -74,7 +90,9 @@ pub fn accumulate(
 
 /// Says which corpus it is.
 pub fn corpus(folder: &FeatureFolder) -> Result<u32> {
-    Ok(checksum(&files::read_bytes(&folder.root.join("manifest.json"))?))
+    Ok(checksum(
+        &files::read_bytes(&folder.root.join("manifest.json")).map_err(Error::other)?,
+    ))
 }
 
 /// [`accumulate`] from files to a file; returns the sums as well.
@@ -83,13 +101,16 @@ pub fn accumulate_files(
     state: &Path,
     (shard, of): (usize, usize),
     out: &Path,
-    say: Say,
+    progress: &dyn Progress,
 ) -> Result<Sums> {
     if shard == 0 || shard > of {
-        bail!("there is no shard {shard} of {of}: they go from 1 to {of}");
+        bail!(
+            Choice,
+            "there is no shard {shard} of {of}: they go from 1 to {of}"
+        );
     }
     let (state, checksum) = State::read(state)?;
-    let sums = accumulate(folder, &state, (shard, of), say)?;
+    let sums = accumulate(folder, &state, (shard, of), progress)?;
     let origin = Origin {
         state: checksum,
         corpus: corpus(folder)?,
@@ -118,10 +139,10 @@ pub fn merge(state: &Path, sums: &[PathBuf], split: Option<Splitting>) -> Result
         _ => false,
     };
     if !visual_fits || !fits(&state.parameters.audio, &sums.audio) {
-        bail!("the sums do not fit the state");
+        bail!(Choice, "the sums do not fit the state");
     }
     if sums.frames == 0 {
-        bail!("no utterance fits its transcript: check the labels");
+        bail!(Data, "no utterance fits its transcript: check the labels");
     }
     let parameters = &mut state.parameters;
     em::maximise(

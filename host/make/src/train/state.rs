@@ -1,11 +1,11 @@
 //! The state of EM between two passes, in a file of its own: what `lipstream train accumulate` reads and `merge` writes.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
 use lipstream_core::model::container::checksum;
 
 use crate::em::Parameters;
 use crate::em::density::Floors;
+use crate::error::{Context as _, Error, Result, bail};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::System;
@@ -50,24 +50,24 @@ pub(super) fn put_parameters(out: &mut TensorsBuilder, parameters: &Parameters) 
 
 /// Reads what [`put_parameters`] put.
 pub(super) fn take_parameters(from: &Tensors, topology: Topology) -> Result<Parameters> {
-    let names: String = from.noted("phones")?;
+    let names: String = from.noted("phones").map_err(Error::other)?;
     let phones: Vec<Phone> = names
         .split_whitespace()
-        .map(|name| Phone::from_name(name).with_context(|| format!("unknown phone {name:?}")))
+        .map(|name| Phone::from_name(name).ok_or_else(|| Error::File(format!("unknown phone {name:?}"))))
         .collect::<Result<_>>()?;
     let mixtures = |name: &str, states: usize| -> Result<Mixtures> {
         let mixtures = Mixtures {
-            mean: from.array(&format!("{name}.mean"))?,
-            variance: from.array(&format!("{name}.variance"))?,
-            log_weight: from.array(&format!("{name}.log_weight"))?,
+            mean: from.array(&format!("{name}.mean")).map_err(Error::other)?,
+            variance: from.array(&format!("{name}.variance")).map_err(Error::other)?,
+            log_weight: from.array(&format!("{name}.log_weight")).map_err(Error::other)?,
         };
         let (s, k, d) = mixtures.mean.dim();
         let fits = s == states && mixtures.variance.dim() == (s, k, d) && mixtures.log_weight.dim() == (s, k);
         if !fits || k == 0 || d == 0 {
-            bail!("the shapes of the {name} mixtures do not agree");
+            bail!(File, "the shapes of the {name} mixtures do not agree");
         }
         if mixtures.variance.iter().any(|v| *v <= 0.0) {
-            bail!("the {name} mixtures hold a variance that is not positive");
+            bail!(File, "the {name} mixtures hold a variance that is not positive");
         }
         Ok(mixtures)
     };
@@ -78,11 +78,11 @@ pub(super) fn take_parameters(from: &Tensors, topology: Topology) -> Result<Para
             true => Some(mixtures("visual", topology.n_visual_states(phones.len()))?),
             false => None,
         },
-        transition: from.array("transition")?,
+        transition: from.array("transition").map_err(Error::other)?,
         phones,
     };
     if parameters.transition.dim() != (parameters.phones.len(), topology.classes_per_phone(), 4) {
-        bail!("the transitions do not fit the phones");
+        bail!(File, "the transitions do not fit the phones");
     }
     Ok(parameters)
 }
@@ -101,37 +101,45 @@ impl State {
             out.note("floors.visual.occupancy", floors.occupancy);
             out.put("floors.visual.variance", &floors.variance);
         }
-        out.write(path)
+        out.write(path).map_err(Error::other)
     }
 
     /// The state, and the checksum by which sums name it.
     pub fn read(path: &Path) -> Result<(Self, u32)> {
-        let bytes = files::read_bytes(path)?;
-        let tensors = Tensors::parse(&bytes, &path.display().to_string())?;
+        let bytes = files::read_bytes(path).map_err(Error::other)?;
+        let tensors = Tensors::parse(&bytes, &path.display().to_string()).map_err(Error::other)?;
         let state = Self::from_tensors(&tensors)
             .with_context(|| format!("{} is no state of training", path.display()))?;
         Ok((state, checksum(&bytes)))
     }
 
     fn from_tensors(from: &Tensors) -> Result<Self> {
-        let kind: String = from.noted("kind")?;
+        let kind: String = from.noted("kind").map_err(Error::other)?;
         if kind != KIND {
-            bail!("it holds {kind:?}; `lipstream train start` makes a state");
+            bail!(File, "it holds {kind:?}; `lipstream train start` makes a state");
         }
-        let version: u32 = from.noted("version")?;
+        let version: u32 = from.noted("version").map_err(Error::other)?;
         if version != VERSION {
-            bail!("version {version}, this program reads {VERSION}: start training again");
+            bail!(
+                File,
+                "version {version}, this program reads {VERSION}: start training again"
+            );
         }
-        let name: String = from.noted("system")?;
-        let system = System::from_name(&name).with_context(|| format!("unknown system {name:?}"))?;
+        let name: String = from.noted("system").map_err(Error::other)?;
+        let system =
+            System::from_name(&name).ok_or_else(|| Error::File(format!("unknown system {name:?}")))?;
         let parameters = take_parameters(from, system.topology)?;
         let floors = |name: &str, mixtures: &Mixtures| -> Result<Floors> {
             let floors = Floors {
-                variance: from.array(&format!("floors.{name}.variance"))?,
-                occupancy: from.noted(&format!("floors.{name}.occupancy"))?,
+                variance: from
+                    .array(&format!("floors.{name}.variance"))
+                    .map_err(Error::other)?,
+                occupancy: from
+                    .noted(&format!("floors.{name}.occupancy"))
+                    .map_err(Error::other)?,
             };
             if floors.variance.len() != mixtures.mean.dim().2 {
-                bail!("the {name} floors do not fit the mixtures");
+                bail!(File, "the {name} floors do not fit the mixtures");
             }
             Ok(floors)
         };
@@ -143,7 +151,7 @@ impl State {
                 None => None,
             },
             parameters,
-            passes: from.noted("passes")?,
+            passes: from.noted("passes").map_err(Error::other)?,
         })
     }
 }

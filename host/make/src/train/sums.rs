@@ -9,13 +9,13 @@
 //! ```
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail, ensure};
 use lipstream_core::model::container::checksum;
 use ndarray::{Array, Array2, Array3, Dimension};
 use serde::{Deserialize, Serialize};
 
 use crate::em::Sums;
 use crate::em::density::Accumulator;
+use crate::error::{Context as _, Error, Result, bail, ensure};
 use lipstream_media::files;
 
 const MAGIC: &[u8; 8] = b"LIPSUMS\0";
@@ -55,7 +55,7 @@ pub fn write(path: &Path, origin: &Origin, sums: &Sums) -> Result<()> {
     })?;
     let mut bytes = MAGIC.to_vec();
     bytes.extend(VERSION.to_le_bytes());
-    bytes.extend(u32::try_from(header.len())?.to_le_bytes());
+    bytes.extend(u32::try_from(header.len()).map_err(Error::other)?.to_le_bytes());
     bytes.extend(header);
     let mut put = |value: &f64| bytes.extend(value.to_le_bytes());
     put(&sums.log_likelihood);
@@ -66,12 +66,12 @@ pub fn write(path: &Path, origin: &Origin, sums: &Sums) -> Result<()> {
         chain.second.iter().for_each(&mut put);
     }
     bytes.extend(checksum(&bytes).to_le_bytes());
-    files::write_bytes(path, &bytes)
+    files::write_bytes(path, &bytes).map_err(Error::other)
 }
 
 /// Reads sums.
 pub fn read(path: &Path) -> Result<(Origin, Sums)> {
-    let bytes = files::read_bytes(path)?;
+    let bytes = files::read_bytes(path).map_err(Error::other)?;
     parse(&bytes).with_context(|| format!("{} holds no usable sums", path.display()))
 }
 
@@ -81,22 +81,25 @@ fn parse(bytes: &[u8]) -> Result<(Origin, Sums)> {
         Some(u32::from_le_bytes(four.try_into().ok()?))
     };
     if !bytes.starts_with(MAGIC) {
-        bail!("it was not written by `lipstream train accumulate`");
+        bail!(File, "it was not written by `lipstream train accumulate`");
     }
     let (Some(version), Some(length)) = (word(8), word(12)) else {
-        bail!("it is cut short");
+        bail!(File, "it is cut short");
     };
     if version != VERSION {
-        bail!("version {version}, this program reads {VERSION}: accumulate again");
+        bail!(
+            File,
+            "version {version}, this program reads {VERSION}: accumulate again"
+        );
     }
     let body = bytes.len().saturating_sub(4);
     if word(body) != Some(checksum(&bytes[..body])) {
-        bail!("its checksum is wrong: it is damaged or cut short");
+        bail!(File, "its checksum is wrong: it is damaged or cut short");
     }
     let header = bytes[..body]
         .get(16..)
         .and_then(|rest| rest.get(..length as usize))
-        .context("it is cut short")?;
+        .ok_or_else(|| Error::File("it is cut short".into()))?;
     let numbers = &bytes[16 + header.len()..body];
     let header: Header = serde_json::from_slice(header).context("its header is damaged")?;
     let size = |(a, b, c): (usize, usize, usize)| a.checked_mul(b)?.checked_mul(c);
@@ -111,6 +114,7 @@ fn parse(bytes: &[u8]) -> Result<(Origin, Sums)> {
     })();
     ensure!(
         expected == Some(numbers.len()),
+        File,
         "its length does not fit its header"
     );
     let mut numbers = numbers.chunks_exact(8).map(|b| {
@@ -118,7 +122,9 @@ fn parse(bytes: &[u8]) -> Result<(Origin, Sums)> {
         eight.copy_from_slice(b);
         f64::from_le_bytes(eight)
     });
-    let log_likelihood = numbers.next().context("it is cut short")?;
+    let log_likelihood = numbers
+        .next()
+        .ok_or_else(|| Error::File("it is cut short".into()))?;
     let transition = array(&mut numbers, header.transition)?;
     let mut chain = |(s, k, d): (usize, usize, usize)| -> Result<Accumulator> {
         let occupancy: Array2<f64> = array(&mut numbers, (s, k))?;
@@ -149,6 +155,7 @@ fn array<D: Dimension, S: ndarray::ShapeArg<Dim = D> + Clone>(
     let values: Vec<f64> = numbers.take(shape.size()).collect();
     ensure!(
         values.iter().all(|v| v.is_finite()),
+        File,
         "it holds a number that is not finite"
     );
     Ok(Array::from_shape_vec(shape, values)?)
@@ -156,24 +163,26 @@ fn array<D: Dimension, S: ndarray::ShapeArg<Dim = D> + Clone>(
 
 /// Adds the sums of all shards, whatever order they are given in; refuses sums that do not belong together.
 pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
-    let mut all = Vec::new();
+    let mut shards = Vec::new();
     for path in paths {
         let (origin, sums) = read(path)?;
         if origin.state != state {
             bail!(
+                Choice,
                 "{} was made with another state: accumulate it again with this one",
                 path.display()
             );
         }
-        all.push((path, origin, sums));
+        shards.push((path, origin, sums));
     }
-    all.sort_by_key(|(_, origin, _)| origin.shard);
-    let Some((first, head, _)) = all.first() else {
-        bail!("no sums to merge");
+    shards.sort_by_key(|(_, origin, _)| origin.shard);
+    let Some((first, head, _)) = shards.first() else {
+        bail!(Choice, "no sums to merge");
     };
-    for (path, origin, _) in &all {
+    for (path, origin, _) in &shards {
         if origin.corpus != head.corpus {
             bail!(
+                Choice,
                 "{} and {} are of different corpora",
                 first.display(),
                 path.display()
@@ -181,6 +190,7 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
         }
         if origin.of != head.of {
             bail!(
+                Choice,
                 "{} is a shard of {}, {} a shard of {}: cut the corpus once",
                 first.display(),
                 head.of,
@@ -189,9 +199,10 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
             );
         }
     }
-    for pair in all.windows(2) {
+    for pair in shards.windows(2) {
         if pair[0].1.shard == pair[1].1.shard {
             bail!(
+                Choice,
                 "{} and {} are both shard {} of {}: it would count twice",
                 pair[0].0.display(),
                 pair[1].0.display(),
@@ -201,19 +212,21 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
         }
     }
     let missing: Vec<String> = (1..=head.of)
-        .filter(|n| all.iter().all(|(_, origin, _)| origin.shard != *n))
+        .filter(|n| shards.iter().all(|(_, origin, _)| origin.shard != *n))
         .map(|n| n.to_string())
         .collect();
     if !missing.is_empty() {
-        bail!("shard {} of {} is missing", missing.join(", "), head.of);
+        bail!(Choice, "shard {} of {} is missing", missing.join(", "), head.of);
     }
-    let mut sums = all.into_iter().map(|(_, _, sums)| sums);
-    let mut total = sums.next().context("no sums to merge")?;
+    let mut sums = shards.into_iter().map(|(_, _, sums)| sums);
+    let mut total = sums
+        .next()
+        .ok_or_else(|| Error::File("no sums to merge".into()))?;
     for part in sums {
         let fits = part.transition.dim() == total.transition.dim()
             && part.audio.first.dim() == total.audio.first.dim()
             && part.visual.as_ref().map(|v| v.first.dim()) == total.visual.as_ref().map(|v| v.first.dim());
-        ensure!(fits, "the shards' sums have different shapes");
+        ensure!(fits, File, "the shards' sums have different shapes");
         total.merge(part);
     }
     Ok(total)
@@ -222,6 +235,7 @@ pub fn merge(paths: &[PathBuf], state: u32) -> Result<Sums> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::chain;
 
     fn sums(seed: f64) -> Sums {
         let fill =
@@ -301,7 +315,7 @@ mod tests {
             (vec![], 7, "no sums"),
             (vec![folder.path().join("none")], 7, "none"),
         ] {
-            let error = format!("{:#}", merge(&paths, state).unwrap_err());
+            let error = chain(&merge(&paths, state).unwrap_err());
             assert!(error.contains(says) && !error.contains('\n'), "{error}");
         }
     }

@@ -2,11 +2,11 @@
 //!
 //! With n images of P numbers, n ≪ P, the components come from the n × n Gram matrix X·Xᵀ = U Λ Uᵀ (Turk & Pentland's
 //! trick): eigenmouth k is Xᵀu_k / √λ_k.
-use anyhow::{Result, bail};
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
 use super::tracker::MouthTrack;
+use crate::error::{Result, bail};
 use lipstream::mouth::MouthSpace;
 
 /// Training images of one speaker, each as its difference from the mean of its clip.
@@ -48,6 +48,7 @@ impl MouthSamples {
     pub fn add_clip(&mut self, track: &MouthTrack, keep: usize) -> Result<()> {
         if (track.width, track.height) != (self.width, self.height) {
             bail!(
+                Data,
                 "mouths of {}×{} pixels among mouths of {}×{}",
                 track.width,
                 track.height,
@@ -82,7 +83,10 @@ impl MouthSamples {
 pub fn eigenmouths(samples: &MouthSamples, size: usize) -> Result<(MouthSpace, f32)> {
     let count = samples.len();
     if size == 0 || count <= size {
-        bail!("{size} eigenmouths need more than {size} images; there are {count}");
+        bail!(
+            Choice,
+            "{size} eigenmouths need more than {size} images; there are {count}"
+        );
     }
     let pixels = samples.mean.len();
     let mut rows = Array2::from_shape_vec((count, pixels), samples.differences.clone())?;
@@ -91,7 +95,7 @@ pub fn eigenmouths(samples: &MouthSamples, size: usize) -> Result<(MouthSpace, f
     let gram = rows.dot(&rows.t());
     let total: f64 = gram.diag().iter().map(|v| f64::from(*v)).sum();
     if total <= 0.0 {
-        bail!("the mouth images do not differ from each other");
+        bail!(Numbers, "the mouth images do not differ from each other");
     }
     let gram = DMatrix::from_fn(count, count, |a, b| f64::from(gram[(a, b)]));
     let eigen = SymmetricEigen::new(gram);
@@ -103,7 +107,10 @@ pub fn eigenmouths(samples: &MouthSamples, size: usize) -> Result<(MouthSpace, f
     for (k, &index) in order.iter().take(size).enumerate() {
         let value = eigen.eigenvalues[index];
         if value < 1e-9 * total {
-            bail!("the mouth images span only {k} dimensions, {size} eigenmouths are wanted");
+            bail!(
+                Numbers,
+                "the mouth images span only {k} dimensions, {size} eigenmouths are wanted"
+            );
         }
         carried += value;
         let weights: Array1<f32> = eigen

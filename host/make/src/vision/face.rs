@@ -1,6 +1,6 @@
 //! Where the face is, roughly: the SeetaFace detector (crate `rustface`), its model carried inside the program.
-use anyhow::{Result, anyhow, bail};
 
+use crate::error::{Error, Result, bail};
 use lipstream_media::video::Frames;
 
 /// The detector's own model file, distributed with it; its licence is beside it.
@@ -25,7 +25,8 @@ pub(crate) struct Detector {
 
 impl Detector {
     pub(crate) fn new() -> Result<Self> {
-        let model = rustface::read_model(MODEL).map_err(|e| anyhow!("the face model is damaged: {e}"))?;
+        let model = rustface::read_model(MODEL)
+            .map_err(|e| Error::File(format!("the face model is damaged: {e}")))?;
         let mut inner = rustface::create_detector_with_model(model);
         inner.set_min_face_size(LEAST_SIDE as u32);
         inner.set_score_thresh(2.0);
@@ -57,7 +58,7 @@ impl Detector {
     pub(crate) fn find_in_clip(&mut self, frames: &Frames) -> Result<FaceBox> {
         let count = frames.len();
         if count == 0 {
-            bail!("there is no picture in it");
+            bail!(Data, "there is no picture in it");
         }
         let looks = count.min(9);
         let boxes: Vec<FaceBox> = (0..looks)
@@ -65,6 +66,7 @@ impl Detector {
             .collect();
         if 2 * boxes.len() < looks {
             bail!(
+                Data,
                 "no face found: the detector sees one in {} of {looks} pictures looked at \
                  (a face must look into the camera and be more than {LEAST_SIDE} pixels wide)",
                 boxes.len()

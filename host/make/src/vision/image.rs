@@ -115,11 +115,11 @@ pub(crate) struct Pyramid {
 
 impl Pyramid {
     pub(crate) fn new(image: Plane, levels: usize) -> Self {
-        let mut all = vec![image];
-        while all.len() < levels {
-            all.push(all[all.len() - 1].half());
+        let mut planes = vec![image];
+        while planes.len() < levels {
+            planes.push(planes[planes.len() - 1].half());
         }
-        Self { levels: all }
+        Self { levels: planes }
     }
 }
 

@@ -1,5 +1,4 @@
 //! What one speaker's clips have in common: the upper-face template, the mouth's place, the colours.
-use anyhow::{Context, Result, anyhow};
 
 use super::affine::Affine;
 use super::colour;
@@ -7,6 +6,7 @@ use super::face::{Detector, FaceBox, median};
 use super::image::{Plane, luminance};
 use super::register::Template;
 use super::tracker::{View, follow};
+use crate::error::{Error, Result};
 use lipstream_media::video::Frames;
 
 /// Widest face box of a template: a mouth of 90 × 68 pixels.
@@ -52,7 +52,7 @@ struct Sample<'a> {
 pub(crate) fn learn(clips: &[Frames]) -> Result<Reference> {
     let mut detector = Detector::new()?;
     let mut faces = Vec::new();
-    let mut reason = anyhow!("there is no clip to learn the face from");
+    let mut reason = Error::Data("there is no clip to learn the face from".into());
     for (index, clip) in clips.iter().enumerate() {
         match detector.find_in_clip(clip) {
             Ok(face) => faces.push((index, face)),
@@ -81,7 +81,7 @@ pub(crate) fn learn(clips: &[Frames]) -> Result<Reference> {
         })
         .collect();
     let template = common_template(&mut samples, middle, side)
-        .context("the upper face has too little structure to hold on to")?;
+        .ok_or_else(|| Error::Data("the upper face has too little structure to hold on to".into()))?;
 
     // Every picture of every clip, with the final template.
     let mut tracks = Vec::new();

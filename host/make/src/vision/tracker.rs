@@ -3,7 +3,6 @@
 //! The rigid upper face (brows, eyes, bridge of the nose) is registered in every picture to a template that all clips of a
 //! speaker share; the mouth itself is never used. The mouth image is then a fixed rectangle of the template's coordinates,
 //! sampled through the registration.
-use anyhow::{Result, bail};
 
 use super::affine::Affine;
 use super::colour::{self, ChannelMap};
@@ -11,6 +10,7 @@ use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
+use crate::error::{Result, bail};
 use lipstream_media::video::Frames;
 
 /// A registration below this correlation with the template has lost the face.
@@ -214,6 +214,7 @@ pub(crate) fn follow(
     let lost = found.iter().filter(|f| f.is_none()).count();
     if lost as f32 > MOST_LOST * view.len() as f32 {
         bail!(
+            Data,
             "the face is lost in {lost} of {} pictures (turned away, covered, or another person)",
             view.len()
         );
@@ -224,9 +225,9 @@ pub(crate) fn follow(
 
 /// Starts to try: the boxes themselves, then somewhat beside, larger and smaller.
 fn starts(view: &View, clip: FaceBox, seen: Option<FaceBox>, side: f32) -> Vec<Affine> {
-    let mut all = Vec::new();
+    let mut starts = Vec::new();
     for face in seen.into_iter().chain([clip]) {
-        all.push(view.start(face, side));
+        starts.push(view.start(face, side));
     }
     for (dx, dy, scale) in [
         (0.0, 0.06, 1.0),
@@ -242,9 +243,9 @@ fn starts(view: &View, clip: FaceBox, seen: Option<FaceBox>, side: f32) -> Vec<A
             top: clip.top + dy * clip.side - 0.5 * (grown - clip.side),
             side: grown,
         };
-        all.push(view.start(beside, side));
+        starts.push(view.start(beside, side));
     }
-    all
+    starts
 }
 
 /// Gaps filled from the nearest pictures that were found, linearly in between.

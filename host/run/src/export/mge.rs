@@ -60,8 +60,8 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         means <= MAX_MEANS,
         "the model has {means} exponential means, the device takes {MAX_MEANS}"
     );
-    tables.put_phones(&model.twin.phones)?;
-    tables.put_start_mean(&model.twin.start_mean);
+    tables.put_phones(&model.parent.phones)?;
+    tables.put_start_mean(&model.parent.start_mean);
     let own = OwnSettings {
         beam: beam(with.beam_bits)?,
         owns: [
@@ -83,9 +83,9 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
         .map(|p| p.max(1e-30).ln())
         .collect();
     tables.put_transitions(
-        &model.twin.phones,
+        &model.parent.phones,
         &model.transition(),
-        &model.twin.bigram,
+        &model.parent.bigram,
         &initial,
     )?;
     tables.put_context(model)?;

@@ -48,7 +48,7 @@ pub enum Normalisation {
 
 /// Decides frame by frame which frames are speech.
 #[derive(Clone, Debug, Default)]
-pub struct Gate {
+pub struct SpeechGate {
     /// None before the first frame.
     levels: Option<Levels>,
 }
@@ -61,7 +61,7 @@ struct Levels {
     stir: f64,
 }
 
-impl Gate {
+impl SpeechGate {
     /// Takes the next frame's E; true when the frame is speech.
     pub fn next(&mut self, energy: f64) -> bool {
         let e = energy.max(QUIET);
@@ -88,7 +88,7 @@ impl Gate {
 /// The causal mean of one stream, frame by frame.
 #[derive(Clone, Debug)]
 pub struct Causal {
-    gate: Gate,
+    gate: SpeechGate,
     mean: [f64; N_STATIC],
 }
 
@@ -96,7 +96,7 @@ impl Causal {
     /// Starts from this mean.
     pub fn new(start_mean: &[f32; N_STATIC]) -> Self {
         Self {
-            gate: Gate::default(),
+            gate: SpeechGate::default(),
             mean: start_mean.map(f64::from),
         }
     }
@@ -133,7 +133,7 @@ pub struct SpeechMean {
 impl SpeechMean {
     /// Adds a clip's raw statics, `[frames, 13]`; the gate starts anew with every clip.
     pub fn add(&mut self, raw: ArrayView2<f64>) {
-        let mut gate = Gate::default();
+        let mut gate = SpeechGate::default();
         for row in raw.axis_iter(Axis(0)) {
             if gate.next(row[N_STATIC - 1]) {
                 self.frames += 1;

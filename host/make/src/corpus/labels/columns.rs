@@ -1,8 +1,8 @@
 //! Label files of lines `start end label`: GRID's `.align`, TIMIT's `.phn` and `.wrd`, HTK's `.lab`.
-use anyhow::{Context, Result, bail};
 
 use super::{Interval, Labels, phones_of, transcript, words_of};
 use crate::corpus::phoneset;
+use crate::error::{Context as _, Error, Result, bail};
 
 /// GRID's time unit.
 const GRID_HZ: f64 = 25_000.0;
@@ -26,13 +26,21 @@ fn lines(text: &str) -> Result<Vec<Line<'_>>> {
         let Some(first) = fields.next() else { continue };
         let what = || format!("line {}: expected `start end label`, found {line:?}", number + 1);
         let start: f64 = first.parse().with_context(what)?;
-        let end: f64 = fields.next().with_context(what)?.parse().with_context(what)?;
+        let end: f64 = fields
+            .next()
+            .ok_or_else(|| Error::Data(what()))?
+            .parse()
+            .with_context(what)?;
         let fields: Vec<_> = fields.collect();
         if fields.is_empty() {
-            bail!(what());
+            bail!(Data, "{}", what());
         }
         if !(start.is_finite() && end.is_finite() && 0.0 <= start && start <= end) {
-            bail!("line {}: from {start} to {end} is no stretch of time", number + 1);
+            bail!(
+                Data,
+                "line {}: from {start} to {end} is no stretch of time",
+                number + 1
+            );
         }
         out.push(Line { start, end, fields });
     }
@@ -93,7 +101,10 @@ pub(super) fn timit_phones(text: &str) -> Result<Labels> {
 /// better with the sound's length. A file without times is a plain transcript.
 pub(super) fn htk(text: &str, duration_s: f64) -> Result<Labels> {
     if text.trim_start().starts_with("#!MLF!#") {
-        bail!("a master label file: write one .lab file for each clip (HTK: `HLEd -l DIR /dev/null FILE`)");
+        bail!(
+            Data,
+            "a master label file: write one .lab file for each clip (HTK: `HLEd -l DIR /dev/null FILE`)"
+        );
     }
     let timed = text
         .split_whitespace()
@@ -167,6 +178,7 @@ fn base(label: &str) -> String {
 #[cfg(test)]
 mod tests {
     use crate::corpus::labels::parse;
+    use crate::error::chain;
 
     #[test]
     fn grid_words_and_letters() {
@@ -191,11 +203,11 @@ mod tests {
             ("0 1 a\n-5 2 b\n", "line 2"),
             ("0 nan a\n", "line 1"),
         ] {
-            let error = format!("{:#}", parse("align", text, 3.0).unwrap_err());
+            let error = chain(&parse("align", text, 3.0).unwrap_err());
             assert!(error.contains(line), "{error}");
             assert!(!error.contains('\n'), "{error}");
         }
-        let error = format!("{:#}", parse("phn", "0 100 zz\n", 3.0).unwrap_err());
+        let error = chain(&parse("phn", "0 100 zz\n", 3.0).unwrap_err());
         assert!(error.contains("\"zz\""), "{error}");
     }
 

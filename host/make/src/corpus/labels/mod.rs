@@ -9,9 +9,8 @@
 //! | `.txt` | a plain transcript, TIMIT's `0 n text`, or a GRID `.align` under another name | none |
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
-
 use super::phoneset;
+use crate::error::{Context as _, Error, Result, bail};
 use lipstream::phones::Phone;
 
 mod columns;
@@ -64,17 +63,17 @@ pub fn read<P: AsRef<Path>>(paths: &[P], duration_s: f64) -> Result<Labels> {
         let rank = extension(path).and_then(|e| EXTENSIONS.iter().position(|x| *x == e));
         match rank {
             Some(rank) => sorted.push((rank, path)),
-            None => bail!("{}: no label format has this extension", path.display()),
+            None => bail!(Choice, "{}: no label format has this extension", path.display()),
         }
     }
     sorted.sort();
     for (_, path) in sorted {
-        let one = read_one(path, duration_s).with_context(|| format!("labels {}", path.display()))?;
+        let read = read_one(path, duration_s).with_context(|| format!("labels {}", path.display()))?;
         if labels.words.is_empty() {
-            labels.words = one.words;
+            labels.words = read.words;
         }
         if labels.phones.is_empty() {
-            labels.phones = one.phones;
+            labels.phones = read.phones;
         }
     }
     Ok(labels)
@@ -87,7 +86,7 @@ fn extension(path: &Path) -> Option<String> {
 fn read_one(path: &Path, duration_s: f64) -> Result<Labels> {
     let size = std::fs::metadata(path)?.len();
     if size > MAX_BYTES {
-        bail!("{size} bytes are too many for a label file");
+        bail!(Data, "{size} bytes are too many for a label file");
     }
     let text = decode(&std::fs::read(path)?)?;
     parse(&extension(path).unwrap_or_default(), &text, duration_s)
@@ -107,7 +106,7 @@ pub fn parse(extension: &str, text: &str, duration_s: f64) -> Result<Labels> {
             words: transcript::words(transcript::without_timit_head(text)),
             phones: Vec::new(),
         },
-        other => bail!("`.{other}` is no label format"),
+        other => bail!(Choice, "`.{other}` is no label format"),
     };
     fit(&mut labels, duration_s)?;
     Ok(labels)
@@ -117,7 +116,7 @@ pub fn parse(extension: &str, text: &str, duration_s: f64) -> Result<Labels> {
 pub fn decode(bytes: &[u8]) -> Result<String> {
     let wide = |unit: fn([u8; 2]) -> u16| -> Result<String> {
         if !bytes.len().is_multiple_of(2) {
-            bail!("UTF-16 text with half a character at its end");
+            bail!(Data, "UTF-16 text with half a character at its end");
         }
         let units = bytes[2..].chunks_exact(2).map(|b| unit([b[0], b[1]]));
         char::decode_utf16(units)
@@ -130,7 +129,7 @@ pub fn decode(bytes: &[u8]) -> Result<String> {
         _ => {
             let bytes = bytes.strip_prefix(&[0xEF, 0xBB, 0xBF]).unwrap_or(bytes);
             if bytes.contains(&0) {
-                bail!("not a text file");
+                bail!(Data, "not a text file");
             }
             Ok(match std::str::from_utf8(bytes) {
                 Ok(text) => text.to_owned(),
@@ -164,7 +163,7 @@ pub(super) fn phones_of(intervals: &[Interval]) -> Result<Vec<(f64, f64, Phone)>
         .map(|i| (i.start, i.end, i.label.clone()))
         .collect();
     phoneset::timit(&labels)
-        .map_err(|label| anyhow::anyhow!("{label:?} is no phone of the TIMIT, CMU or X&L sets"))
+        .map_err(|label| Error::Data(format!("{label:?} is no phone of the TIMIT, CMU or X&L sets")))
 }
 
 /// Refuses times out of order and labels that do not belong to a sound of this length; cuts a small overhang.
@@ -184,14 +183,18 @@ fn cut<'a>(spans: impl Iterator<Item = (&'a mut f64, &'a mut f64)>, duration_s: 
     let mut last = 0.0f64;
     for (start, end) in spans {
         if !start.is_finite() || !end.is_finite() || *start < 0.0 || *end < *start {
-            bail!("a label reaches from {start} s to {end} s");
+            bail!(Data, "a label reaches from {start} s to {end} s");
         }
         if *start < last {
-            bail!("the label that starts at {start} s comes after one that starts at {last} s");
+            bail!(
+                Data,
+                "the label that starts at {start} s comes after one that starts at {last} s"
+            );
         }
         last = *start;
         if *end > duration_s + OVERHANG_S {
             bail!(
+                Data,
                 "labels reach to {end:.2} s, but the sound ends at {duration_s:.2} s: are they this clip's?"
             );
         }
@@ -204,6 +207,7 @@ fn cut<'a>(spans: impl Iterator<Item = (&'a mut f64, &'a mut f64)>, duration_s: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::chain;
 
     fn texts(labels: &Labels) -> Vec<&str> {
         labels.words.iter().map(|w| w.text.as_str()).collect()
@@ -326,7 +330,7 @@ mod tests {
         for (name, content, says) in cases {
             let path = folder.path().join(name);
             std::fs::write(&path, content).unwrap();
-            let error = format!("{:#}", read(&[&path], 1.0).unwrap_err());
+            let error = chain(&read(&[&path], 1.0).unwrap_err());
             assert!(error.contains(name) && error.contains(says), "{name}: {error}");
             assert!(!error.contains('\n'), "{error}");
         }

@@ -1,9 +1,9 @@
 //! Praat TextGrids in text form. As Praat does, only free-standing numbers, quoted strings and `<flags>` are
 //! read and everything else is commentary: so the long and the short form are one format.
-use anyhow::{Context, Result, bail};
 
 use super::{Interval, Labels, phones_of, words_of};
 use crate::corpus::phoneset;
+use crate::error::{Context as _, Error, Result, bail};
 
 #[derive(Debug, PartialEq)]
 enum Token {
@@ -35,7 +35,7 @@ fn tokens(text: &str) -> Result<Vec<(usize, Token)>> {
             loop {
                 let quote = rest
                     .find('"')
-                    .with_context(|| format!("line {line}: a text without its closing quote"))?;
+                    .ok_or_else(|| Error::Data(format!("line {line}: a text without its closing quote")))?;
                 value.push_str(&rest[..quote]);
                 rest = &rest[quote + 1..];
                 if !rest.starts_with('"') {
@@ -87,6 +87,7 @@ impl Reader {
 
     fn ends<T>(&self, what: &str) -> Result<T> {
         bail!(
+            Data,
             "the TextGrid ends after line {} where {what} should come: it is cut short, save it in Praat again",
             self.line
         )
@@ -95,7 +96,11 @@ impl Reader {
     fn text(&mut self, what: &str) -> Result<String> {
         match self.next() {
             Some(Token::Text(text)) => Ok(text),
-            Some(other) => bail!("line {}: expected {what} in quotes, found {other}", self.line),
+            Some(other) => bail!(
+                Data,
+                "line {}: expected {what} in quotes, found {other}",
+                self.line
+            ),
             None => self.ends(what),
         }
     }
@@ -103,7 +108,7 @@ impl Reader {
     fn number(&mut self, what: &str) -> Result<f64> {
         match self.next() {
             Some(Token::Number(number)) if number.is_finite() => Ok(number),
-            Some(other) => bail!("line {}: expected {what}, found {other}", self.line),
+            Some(other) => bail!(Data, "line {}: expected {what}, found {other}", self.line),
             None => self.ends(what),
         }
     }
@@ -112,7 +117,7 @@ impl Reader {
     fn count(&mut self, what: &str) -> Result<u64> {
         let number = self.number(what)?;
         if number < 0.0 || number.fract() != 0.0 || number > 1e9 {
-            bail!("line {}: {what} is {number}", self.line);
+            bail!(Data, "line {}: {what} is {number}", self.line);
         }
         Ok(number as u64)
     }
@@ -121,7 +126,7 @@ impl Reader {
 /// All tiers of a TextGrid.
 pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
     if text.starts_with("ooBinaryFile") {
-        bail!("a binary TextGrid: save it in Praat as a text file");
+        bail!(Data, "a binary TextGrid: save it in Praat as a text file");
     }
     let mut reader = Reader {
         tokens: tokens(text)?.into_iter(),
@@ -134,14 +139,14 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
         kind
     };
     if class != "TextGrid" {
-        bail!("a Praat file of class {class:?}, not a TextGrid");
+        bail!(Data, "a Praat file of class {class:?}, not a TextGrid");
     }
     reader.number("the start time")?;
     reader.number("the end time")?;
     match reader.next() {
         Some(Token::Flag(flag)) if flag == "<exists>" => {}
         Some(Token::Flag(_)) => return Ok(Vec::new()),
-        Some(other) => bail!("line {}: expected <exists>, found {other}", reader.line),
+        Some(other) => bail!(Data, "line {}: expected <exists>, found {other}", reader.line),
         None => return reader.ends("<exists>"),
     }
     let mut tiers = Vec::new();
@@ -160,6 +165,7 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
                     let label = reader.text("the text of an interval")?;
                     if end < start {
                         bail!(
+                            Data,
                             "line {}: tier {name:?} has an interval from {start} to {end}",
                             reader.line
                         );
@@ -174,6 +180,7 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
                 }
             }
             other => bail!(
+                Data,
                 "line {}: a tier of class {other:?}; IntervalTier and TextTier are known",
                 reader.line
             ),
@@ -212,6 +219,7 @@ pub(super) fn labels(text: &str) -> Result<Labels> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::chain;
 
     const LONG: &str = r#"File type = "ooTextFile"
 Object class = "TextGrid"
@@ -304,10 +312,10 @@ item []:
             &SHORT.replace("IntervalTier", "PitchTier"),
             "ooBinaryFile\u{8}TextGrid",
         ] {
-            let error = format!("{:#}", labels(text).unwrap_err());
+            let error = chain(&labels(text).unwrap_err());
             assert!(!error.contains('\n'), "{error}");
         }
-        let unknown = labels(&SHORT.replace("IY1", "Q9")).unwrap_err();
-        assert!(format!("{unknown:#}").contains("q9"), "{unknown:#}");
+        let unknown = chain(&labels(&SHORT.replace("IY1", "Q9")).unwrap_err());
+        assert!(unknown.contains("q9"), "{unknown}");
     }
 }

@@ -6,11 +6,11 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::OnceLock;
 
-use anyhow::{Context, Result, anyhow, bail};
 use phonetik::dict::CmuDict;
 
 use super::labels::SpokenWord;
 use super::phoneset;
+use crate::error::{Context as _, Error, Result, bail};
 use crate::features::Word;
 use lipstream::phones::Phone;
 use lipstream_media::files;
@@ -22,7 +22,7 @@ pub const MOST_ALTERNATIVES: usize = 8;
 
 /// Where a pronunciation came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Source {
+pub enum Origin {
     /// The user's dictionary.
     User,
     /// CMUdict, or the table of letter names.
@@ -52,7 +52,7 @@ impl Pronouncer {
     pub fn new(user: Option<&Path>) -> Result<Self> {
         let user = match user {
             Some(path) => {
-                let text = super::labels::decode(&files::read_bytes(path)?)
+                let text = super::labels::decode(&files::read_bytes(path).map_err(Error::other)?)
                     .with_context(|| format!("dictionary {}", path.display()))?;
                 read_dictionary(&text).with_context(|| format!("dictionary {}", path.display()))?
             }
@@ -60,7 +60,10 @@ impl Pronouncer {
         };
         let cmu = CMU.get_or_init(CmuDict::load);
         if cmu.lookup("the").is_none() {
-            bail!("the embedded CMUdict is empty: this program was not built properly");
+            bail!(
+                File,
+                "the embedded CMUdict is empty: this program was not built properly"
+            );
         }
         Ok(Self { cmu, user })
     }
@@ -68,32 +71,35 @@ impl Pronouncer {
     /// Pronunciations of a word as labelled, the most usual first; neither the list nor one in it is empty.
     ///
     /// The error is a word that has no letter a-z, even without its accents, and is in no dictionary.
-    pub fn word(&self, word: &SpokenWord) -> Result<(Vec<Vec<Phone>>, Source)> {
+    pub fn word(&self, word: &SpokenWord) -> Result<(Vec<Vec<Phone>>, Origin)> {
         let text = word.text.as_str();
         if let Some(own) = self.user.get(text) {
-            return Ok((own.clone(), Source::User));
+            return Ok((own.clone(), Origin::User));
         }
         if word.letter_name
             && let Some(named) = self.letter_name(text)
         {
-            return Ok((named, Source::Dictionary));
+            return Ok((named, Origin::Dictionary));
         }
         if let Some(found) = self.in_cmu(text) {
-            return Ok((finish(found), Source::Dictionary));
+            return Ok((finish(found), Origin::Dictionary));
         }
         if let Some(found) = self.inflected(text) {
-            return Ok((finish(found), Source::Inflected));
+            return Ok((finish(found), Origin::Inflected));
         }
         match self.spelled(text) {
             phones if phones.is_empty() => {
-                bail!("nothing tells how {text:?} is pronounced: add it to a file for --dictionary")
+                bail!(
+                    Data,
+                    "nothing tells how {text:?} is pronounced: add it to a file for --dictionary"
+                )
             }
-            phones => Ok((finish(vec![phones]), Source::Letters)),
+            phones => Ok((finish(vec![phones]), Origin::Letters)),
         }
     }
 
     /// A word as the manifest holds it, and where its pronunciations came from.
-    pub fn spoken(&self, word: &SpokenWord) -> Result<(Word, Source)> {
+    pub fn spoken(&self, word: &SpokenWord) -> Result<(Word, Origin)> {
         let (pronunciations, source) = self.word(word)?;
         let names = |phones: &Vec<Phone>| phones.iter().map(|p| p.name().to_owned()).collect();
         let spoken = Word {
@@ -322,7 +328,7 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
         }
         let (entry, phones) = line
             .split_once(char::is_whitespace)
-            .ok_or_else(|| anyhow!("line {}: {line:?} has no phones", number + 1))?;
+            .ok_or_else(|| Error::Data(format!("line {}: {line:?} has no phones", number + 1)))?;
         let word = match entry.split_once('(') {
             Some((word, rest)) if !word.is_empty() && rest.ends_with(')') => word,
             _ => entry,
@@ -332,7 +338,12 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
             .map(|p| {
                 phoneset::phone(p)
                     .filter(|p| *p != Phone::SIL && *p != Phone::SP)
-                    .ok_or_else(|| anyhow!("line {}: {p:?} is no phone of CMU's or X&L's set", number + 1))
+                    .ok_or_else(|| {
+                        Error::Data(format!(
+                            "line {}: {p:?} is no phone of CMU's or X&L's set",
+                            number + 1
+                        ))
+                    })
             })
             .collect::<Result<_>>()?;
         let entries = words.entry(word.to_lowercase()).or_default();
@@ -347,8 +358,9 @@ pub fn read_dictionary(text: &str) -> Result<HashMap<String, Vec<Vec<Phone>>>> {
 mod tests {
     use super::*;
     use crate::corpus::labels::transcript;
+    use crate::error::chain;
 
-    fn say(pronouncer: &Pronouncer, text: &str) -> (Vec<String>, Source) {
+    fn say(pronouncer: &Pronouncer, text: &str) -> (Vec<String>, Origin) {
         let words = transcript::words(text);
         let (found, source) = pronouncer.word(&words[0]).unwrap();
         let join = |p: &Vec<Phone>| p.iter().map(|p| p.name()).collect::<Vec<_>>().join(" ");
@@ -358,7 +370,7 @@ mod tests {
     #[test]
     fn the_dictionary_and_its_alternatives() {
         let p = Pronouncer::new(None).unwrap();
-        assert_eq!(say(&p, "soon"), (vec!["s uw n".into()], Source::Dictionary));
+        assert_eq!(say(&p, "soon"), (vec!["s uw n".into()], Origin::Dictionary));
         let (the, _) = say(&p, "The");
         assert!(
             the.contains(&"dh ax".into()) && the.contains(&"dh iy".into()),
@@ -379,7 +391,7 @@ mod tests {
                 letter_name: true,
             };
             let (found, source) = p.word(&word).unwrap();
-            assert_eq!(source, Source::Dictionary, "{letter}");
+            assert_eq!(source, Origin::Dictionary, "{letter}");
             let join = |p: &Vec<Phone>| p.iter().map(|p| p.name()).collect::<Vec<_>>().join(" ");
             found.iter().map(join).collect::<Vec<_>>()
         };
@@ -394,7 +406,7 @@ mod tests {
     #[test]
     fn regular_inflections_of_known_words() {
         let p = Pronouncer::new(None).unwrap();
-        assert_eq!(say(&p, "soon's"), (vec!["s uw n z".into()], Source::Inflected));
+        assert_eq!(say(&p, "soon's"), (vec!["s uw n z".into()], Origin::Inflected));
         assert_eq!(
             with_ending(parse_phones("s t aa p").unwrap(), "ed")
                 .last()
@@ -411,7 +423,7 @@ mod tests {
         let p = Pronouncer::new(None).unwrap();
         for text in ["zzyzxq", "lipstreamish", "été", "ż", "x'y"] {
             let (found, source) = say(&p, text);
-            assert_eq!(source, Source::Letters, "{text}");
+            assert_eq!(source, Origin::Letters, "{text}");
             assert!(!found.is_empty() && !found[0].is_empty(), "{text}");
         }
         assert_eq!(say(&p, "xqz").0[0], "eh k s k y uw z eh d");
@@ -474,15 +486,15 @@ mod tests {
         let p = Pronouncer::new(Some(&path)).unwrap();
         assert_eq!(
             say(&p, "soon"),
-            (vec!["s uh n".into(), "s uw n".into()], Source::User)
+            (vec!["s uh n".into(), "s uw n".into()], Origin::User)
         );
-        assert_eq!(say(&p, "lipstream").1, Source::User);
+        assert_eq!(say(&p, "lipstream").1, Origin::User);
         assert_eq!(
             say(&p, "lipstreams"),
-            (vec!["l ih p s t r iy m z".into()], Source::Inflected)
+            (vec!["l ih p s t r iy m z".into()], Origin::Inflected)
         );
         for bad in ["word\n", "word AH0 QQ\n", "word sil\n"] {
-            let error = format!("{:#}", read_dictionary(bad).unwrap_err());
+            let error = chain(&read_dictionary(bad).unwrap_err());
             assert!(error.contains("line 1") && !error.contains('\n'), "{error}");
         }
         assert!(Pronouncer::new(Some(&folder.path().join("none"))).is_err());

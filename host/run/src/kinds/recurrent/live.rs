@@ -5,7 +5,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 use super::chain::{Scratch, VISUAL, axpy, dot};
 use super::context::Window;
 use super::log_sums::{LogSums, Sums};
-use super::model::MgeModel;
+use super::model::RecurrentModel;
 use super::parameters::{Feedback, Group};
 use super::step::{Net, Room, Speak, emissions_audio, emissions_visual, marginals, observe, visual_logs};
 use crate::hmm::joint::N_EMITTING;
@@ -23,7 +23,7 @@ pub struct Spoken {
 
 /// A model following one stream of normalised statics.
 pub struct Live<'a> {
-    model: &'a MgeModel,
+    model: &'a RecurrentModel,
     net: Net<'a>,
     window: Window,
     room: Room,
@@ -41,7 +41,7 @@ pub struct Live<'a> {
 
 impl<'a> Live<'a> {
     /// Waits for `ahead` frames of future, at most the model's look-ahead.
-    pub fn new(model: &'a MgeModel, ahead: usize) -> Self {
+    pub fn new(model: &'a RecurrentModel, ahead: usize) -> Self {
         let shape = &model.parameters.shape;
         let net = Net::new(&model.parameters, &model.chain(), model.least);
         let room = Room::new(&net);
@@ -63,7 +63,7 @@ impl<'a> Live<'a> {
     }
 
     /// The same with probabilities added as logarithms.
-    pub fn with_sums(model: &'a MgeModel, ahead: usize, sums: Sums) -> Self {
+    pub fn with_sums(model: &'a RecurrentModel, ahead: usize, sums: Sums) -> Self {
         let mut live = Self::new(model, ahead);
         let (graph, probability) = model.phone_loop();
         live.sums = Some(LogSums::new(&live.net.chain, &graph, &probability, sums));
@@ -177,22 +177,22 @@ pub struct Converted {
 }
 
 /// Streams normalised statics `[frames, ≥ 13]` through the model, frame by frame, at its full look-ahead.
-pub fn convert(model: &MgeModel, statics: ArrayView2<f32>) -> Converted {
+pub fn convert(model: &RecurrentModel, statics: ArrayView2<f32>) -> Converted {
     convert_within(model, statics, model.parameters.shape.context.look_ahead())
 }
 
 /// [`convert`] with `ahead` frames of future only.
-pub fn convert_within(model: &MgeModel, statics: ArrayView2<f32>, ahead: usize) -> Converted {
+pub fn convert_within(model: &RecurrentModel, statics: ArrayView2<f32>, ahead: usize) -> Converted {
     hear(model, statics, Live::new(model, ahead))
 }
 
 /// [`convert`] with probabilities added as logarithms.
-pub fn convert_with_sums(model: &MgeModel, statics: ArrayView2<f32>, sums: Sums) -> Converted {
+pub fn convert_with_sums(model: &RecurrentModel, statics: ArrayView2<f32>, sums: Sums) -> Converted {
     let ahead = model.parameters.shape.context.look_ahead();
     hear(model, statics, Live::with_sums(model, ahead, sums))
 }
 
-fn hear(model: &MgeModel, statics: ArrayView2<f32>, mut live: Live) -> Converted {
+fn hear(model: &RecurrentModel, statics: ArrayView2<f32>, mut live: Live) -> Converted {
     let shape = &model.parameters.shape;
     let frames = statics.nrows();
     let mut parameters = Array2::zeros((frames, shape.outputs));

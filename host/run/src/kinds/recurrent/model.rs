@@ -25,9 +25,9 @@ pub const LEAST: f32 = 1e-4;
 
 /// A trained model, ready to convert.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MgeModel {
+pub struct RecurrentModel {
     /// The likelihood-trained model: phones, bigram, start mean, mouth, and the start of training.
-    pub twin: Model,
+    pub parent: Model,
     pub parameters: Parameters,
     /// c̄ `[C]`.
     pub context_mean: Vec<f32>,
@@ -42,24 +42,27 @@ pub struct MgeModel {
     pub provenance: String,
 }
 
-impl MgeModel {
-    /// The loop over the twin's phones.
+/// The name that the engine and the export still call it by.
+pub type MgeModel = RecurrentModel;
+
+impl RecurrentModel {
+    /// The loop over the parent's phones.
     pub fn chain(&self) -> Chain {
-        Chain::new(&self.twin.phones, &self.twin.transition, &self.twin.bigram)
+        Chain::new(&self.parent.phones, &self.parent.transition, &self.parent.bigram)
     }
 
     /// Natural logs of the trained transitions, `[phones, 15, 4]`.
     pub fn transition(&self) -> Array3<f32> {
         let logs = log_softmax_rows(self.parameters.of(Group::Transition));
-        Array3::from_shape_vec((self.twin.phones.len(), N_TRANSITION_CLASSES, 4), logs)
-            .expect("the parameters are of the twin's phones")
+        Array3::from_shape_vec((self.parent.phones.len(), N_TRANSITION_CLASSES, 4), logs)
+            .expect("the parameters are of the parent's phones")
     }
 
     /// The loop over all phones as a graph, and the probability of each arc.
     pub fn phone_loop(&self) -> (Graph, Vec<f64>) {
         Hmm {
             transition: &self.transition(),
-            ..Hmm::of_model(&self.twin)
+            ..Hmm::of_model(&self.parent)
         }
         .phone_loop()
     }
@@ -76,10 +79,10 @@ impl MgeModel {
 
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
-        self.twin.store(&mut out);
+        self.parent.store(&mut out);
         out.note("kind", KIND);
         out.note("provenance", &self.provenance);
-        out.note("twin.provenance", &self.twin.provenance);
+        out.note("twin.provenance", &self.parent.provenance);
         let shape = &self.parameters.shape;
         out.note("mge.version", VERSION);
         out.note("mge.taps", spaced(&shape.context.taps));
@@ -136,9 +139,9 @@ impl MgeModel {
         if version != VERSION {
             bail!("version {version} of the trained tables, this program reads {VERSION}: train it again");
         }
-        let mut twin = Model::from_tensors(from)?;
-        twin.provenance = from.noted("twin.provenance")?;
-        check_twin(&twin)?;
+        let mut parent = Model::from_tensors(from)?;
+        parent.provenance = from.noted("twin.provenance")?;
+        check_parent(&parent)?;
         let text = |key: &str| from.noted::<String>(key);
         let context = Context {
             taps: numbers(&text("mge.taps")?)?,
@@ -149,7 +152,7 @@ impl MgeModel {
         let drive: Array2<f32> = from.array("mge.drive")?;
         let global: Array2<f32> = from.array("mge.global")?;
         let shape = Shape {
-            phones: twin.phones.len(),
+            phones: parent.phones.len(),
             context,
             inputs: projection.nrows(),
             memory: drive.nrows(),
@@ -182,14 +185,14 @@ impl MgeModel {
             }
             parameters.assign(group, &matrix);
         }
-        let model = MgeModel {
+        let model = RecurrentModel {
             context_mean: from.array::<ndarray::Ix1>("mge.context_mean")?.to_vec(),
             scale: from.array::<ndarray::Ix1>("mge.scale")?.to_vec(),
             deviation: from.array::<ndarray::Ix1>("mge.deviation")?.to_vec(),
             least: from.noted("mge.least")?,
             validation_amse: from.noted("mge.validation_amse").ok(),
             provenance: from.noted("provenance")?,
-            twin,
+            parent,
             parameters,
         };
         let sizes = [
@@ -203,7 +206,7 @@ impl MgeModel {
             }
         }
         if model
-            .twin
+            .parent
             .mouth
             .as_ref()
             .is_some_and(|m| m.size() != shape.outputs)
@@ -215,9 +218,9 @@ impl MgeModel {
 }
 
 /// The step over the phone loop is that of coupled chains over phones and visemes.
-pub fn check_twin(twin: &Model) -> Result<()> {
-    let (_, classes, _) = twin.transition.dim();
-    let states = twin.visual.mean.dim().0;
+pub fn check_parent(parent: &Model) -> Result<()> {
+    let (_, classes, _) = parent.transition.dim();
+    let states = parent.visual.mean.dim().0;
     if classes != N_TRANSITION_CLASSES || states != VISUAL {
         bail!(
             "training starts from a ph-vi-chmm ({N_TRANSITION_CLASSES} transition classes, {VISUAL} visual states), this model has \

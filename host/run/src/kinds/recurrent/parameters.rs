@@ -1,6 +1,5 @@
 //! What minimum generation error training learns: one flat vector, cut into named matrices.
 use ndarray::{Array2, ArrayView2};
-use rand::{Rng, RngExt};
 
 use super::chain::{ROWS, VISUAL};
 use super::context::Context;
@@ -297,19 +296,6 @@ impl Parameters {
             .map(|g| self.of(*g).len())
             .sum()
     }
-}
-
-/// Fills with mean + deviation·N(0, 1).
-pub fn fill_normal(values: &mut [f32], mean: f32, deviation: f32, rng: &mut impl Rng) {
-    for v in values {
-        *v = mean + deviation * normal(rng);
-    }
-}
-
-/// Mean 0, variance 1.
-pub fn normal(rng: &mut impl Rng) -> f32 {
-    let (u, v): (f32, f32) = (rng.random_range(1e-7..1.0), rng.random());
-    (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
 }
 
 pub fn sigmoid(x: f32) -> f32 {

@@ -5,17 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use anyhow::{Context as _, Result};
-
 use super::state::{put_parameters, take_parameters};
 use super::sums::{self, Origin};
 use crate::em::{Parameters, Sums};
+use crate::error::{Context as _, Error, Result};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 use lipstream_media::files;
 
 /// Keeps the passes of a run, or (by default) nothing.
 #[derive(Clone, Default)]
-pub struct Progress(Option<Arc<Kept>>);
+pub struct Resume(Option<Arc<Kept>>);
 
 struct Kept {
     folder: PathBuf,
@@ -23,10 +22,10 @@ struct Kept {
     stages: AtomicUsize,
 }
 
-impl fmt::Debug for Progress {
+impl fmt::Debug for Resume {
     /// The same whatever it holds: where a run is kept does not change it.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        f.write_str("Progress")
+        f.write_str("Resume")
     }
 }
 
@@ -36,7 +35,7 @@ pub(super) struct Stage<'a> {
     number: usize,
 }
 
-impl Progress {
+impl Resume {
     /// Kept beside `output`. `run` describes the run (settings, data): what another run left is thrown away.
     pub fn beside(output: &Path, run: &str) -> Result<Self> {
         let mut name = output.file_name().unwrap_or_default().to_owned();
@@ -48,7 +47,7 @@ impl Progress {
                 std::fs::remove_dir_all(&folder)
                     .with_context(|| format!("cannot remove {}", folder.display()))?;
             }
-            files::write_bytes(&note, run.as_bytes())?;
+            files::write_bytes(&note, run.as_bytes()).map_err(Error::other)?;
         }
         Ok(Self(Some(Arc::new(Kept {
             folder,
@@ -117,7 +116,7 @@ impl Stage<'_> {
         sums::write(&sums_path, &origin, sums)?;
         let mut out = TensorsBuilder::default();
         put_parameters(&mut out, parameters);
-        out.write(&state)?;
+        out.write(&state).map_err(Error::other)?;
         if pass > 1 {
             let (state, sums) = kept.paths(self.number, pass - 1);
             for old in [state, sums] {

@@ -1,0 +1,44 @@
+//! Progress on the terminal: lines, and a bar for work that comes in steps.
+use std::sync::Mutex;
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use lipstream::progress::Progress;
+
+/// Standard error, with a bar below the lines while steps are counted; the bar is hidden where it is no terminal.
+#[derive(Default)]
+pub(crate) struct Terminal(Mutex<Option<ProgressBar>>);
+
+impl Progress for Terminal {
+    fn say(&self, what: &str) {
+        match self.0.lock().as_deref() {
+            // The bar makes way for the line.
+            Ok(Some(bar)) => bar.suspend(|| eprintln!("{what}")),
+            _ => eprintln!("{what}"),
+        }
+    }
+
+    fn step(&self, what: &str, done: usize, all: usize) {
+        let Ok(mut place) = self.0.lock() else { return };
+        if done == 0 {
+            *place = Some(bar(what, all));
+        }
+        let Some(bar) = place.as_ref() else { return };
+        bar.set_position(done as u64);
+        if done == all {
+            bar.finish();
+        }
+    }
+}
+
+/// A bar that shows how many steps are made, how fast, and how long the rest will take.
+fn bar(what: &str, all: usize) -> ProgressBar {
+    let style = ProgressStyle::with_template("{msg:18} {bar:40} {pos}/{len} {per_sec} {eta}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    let bar = ProgressBar::new(all as u64)
+        .with_style(style)
+        .with_message(what.to_owned());
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
