@@ -3,7 +3,7 @@ use std::path::Path;
 
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::recurrent::context::Context;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use lipstream::random::fill_normal;
 use lipstream::synthetic::{Sizes, model};
@@ -23,7 +23,7 @@ fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> V
 }
 
 /// A recurrent model of random numbers, both of whose chains own everything that they can.
-fn recurrent(rng: &mut Pcg64) -> MgeModel {
+fn recurrent(rng: &mut Pcg64) -> RecurrentModel {
     let mut parent = model(&Sizes::small(), 2.0, rng);
     parent.start_mean.fill(0.0);
     let shape = Shape {
@@ -55,7 +55,7 @@ fn recurrent(rng: &mut Pcg64) -> MgeModel {
         .iter_mut()
         .zip(transition)
         .for_each(|(to, from)| *to = *from);
-    MgeModel {
+    RecurrentModel {
         context_mean: (0..shape.context.size())
             .map(|_| rng.random_range(-0.5f32..0.5))
             .collect(),

@@ -14,7 +14,7 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Lag, convert};
 use lipstream::kinds::recurrent::live;
 use lipstream::kinds::recurrent::log_sums::Sums;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::tensors::Tensors;
 use lipstream_core::hmm::search::MAX_BEAM;
 use lipstream_core::hmm::transition::MAX_JOINT_STATES;
@@ -42,8 +42,8 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
         Ok(sound.samples)
     });
     let sounds: Vec<Vec<i16>> = sounds.collect::<Result<_>>()?;
-    if MgeModel::is_kind(&Tensors::read(&path)?) {
-        of_mge(&MgeModel::read(&path)?, &clips, &sounds)
+    if RecurrentModel::is_kind(&Tensors::read(&path)?) {
+        of_mge(&RecurrentModel::read(&path)?, &clips, &sounds)
     } else {
         of_likelihood(&Model::read(&path)?, &clips, &sounds)
     }
@@ -126,9 +126,9 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
     Ok(())
 }
 
-fn of_mge(model: &MgeModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> {
+fn of_mge(model: &RecurrentModel, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<()> {
     // Frames from `from` on, of a stream that began there or at the clip's beginning.
-    let score = |model: &MgeModel, from: usize, cold: bool| -> Score {
+    let score = |model: &RecurrentModel, from: usize, cold: bool| -> Score {
         let mut score = Score::new(model.deviation.len());
         for clip in clips.iter().filter(|c| c.audio.nrows() > from) {
             let begin = if cold { from } else { 0 };

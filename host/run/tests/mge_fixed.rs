@@ -5,7 +5,7 @@ mod common;
 use common::tables::{hear_out, n_sections, nth, seal};
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::kinds::recurrent::context::Context;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use lipstream::random::fill_normal;
 use lipstream::synthetic::{self, Sizes};
@@ -47,7 +47,7 @@ fn another_kind_of_tables_is_refused_in_words() {
 }
 
 /// A model of random numbers of the sizes that trained ones have.
-fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
+fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> RecurrentModel {
     let rng = &mut Pcg64::seed_from_u64(seed);
     let parent = synthetic::model(&Sizes::small(), 2.0, rng);
     let shape = Shape {
@@ -79,7 +79,7 @@ fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
         .iter_mut()
         .zip(transition)
         .for_each(|(to, from)| *to = *from);
-    MgeModel {
+    RecurrentModel {
         context_mean: (0..shape.context.size())
             .map(|_| rng.random_range(-0.5f32..0.5))
             .collect(),
@@ -93,7 +93,7 @@ fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> MgeModel {
     }
 }
 
-fn tables(model: &MgeModel) -> Vec<u8> {
+fn tables(model: &RecurrentModel) -> Vec<u8> {
     export_mge(model, &MgeSettings::default()).unwrap().bytes
 }
 

@@ -7,7 +7,7 @@ use lipstream_core::{Likelihood, Model as Tables};
 use lipstream::export::budget::{self, Budget, Candidate};
 use lipstream::export::{Export, ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::MgeModel;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
 use lipstream_media::{files, sound};
@@ -112,7 +112,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
 /// A model and what its tables are made with, but for the beam.
 enum Kind {
     Likelihood(Box<Model>, ExportSettings),
-    Mge(Box<MgeModel>),
+    Mge(Box<RecurrentModel>),
 }
 
 /// A model with its tables for the beam that was asked for, or its own.
@@ -128,7 +128,7 @@ const BEAMS: [f64; 8] = [14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0];
 
 impl Kind {
     fn read(path: &Path, args: &Args) -> Result<Self> {
-        if MgeModel::is_kind(&Tensors::read(path)?) {
+        if RecurrentModel::is_kind(&Tensors::read(path)?) {
             if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average || args.visual_densities
             {
                 bail!(
@@ -136,7 +136,7 @@ impl Kind {
                     path.display()
                 );
             }
-            return Ok(Self::Mge(Box::new(MgeModel::read(path)?)));
+            return Ok(Self::Mge(Box::new(RecurrentModel::read(path)?)));
         }
         let model = Model::read(path)?;
         let own = ExportSettings::of(&model);

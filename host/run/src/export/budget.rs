@@ -22,7 +22,7 @@
 //! within 7 % of eighteen counts.
 use lipstream_core::{Likelihood, Model, Stream, StreamSettings};
 
-use crate::kinds::recurrent::model::MgeModel;
+use crate::kinds::recurrent::model::RecurrentModel;
 
 /// A model under a beam.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,7 +46,7 @@ pub struct Budget {
 }
 
 /// Instructions of a hop of a model with a memory on average over speech.
-pub fn instructions(model: &MgeModel, beam_bits: f64) -> f64 {
+pub fn instructions(model: &RecurrentModel, beam_bits: f64) -> f64 {
     let shape = &model.parameters.shape;
     let of = |n: usize| n as f64;
     let (z, h, d, c) = (
@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn the_estimate_is_what_was_counted() {
         let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/grid-s1.safetensors");
-        let model = MgeModel::read(&path).unwrap();
+        let model = RecurrentModel::read(&path).unwrap();
         for (beam_bits, counted) in [(8.0, 146_709.0), (11.0, 169_357.0), (14.0, 188_521.0)] {
             let estimate = instructions(&model, beam_bits);
             assert!(

@@ -16,7 +16,7 @@ use ndarray::Array2;
 
 use super::Export;
 use super::tables::{Errors, SumRows, Tables, beam};
-use crate::kinds::recurrent::model::MgeModel;
+use crate::kinds::recurrent::model::RecurrentModel;
 use crate::kinds::recurrent::parameters::{Feedback, Group};
 use crate::kinds::recurrent::step::softmax;
 
@@ -41,7 +41,7 @@ const SIGNAL: f64 = (1 << SIGNAL_FRACTION_BITS) as f64;
 const BIT: f64 = (1 << FRACTION_BITS) as f64;
 
 /// Quantises `model`.
-pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
+pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
     let p = &model.parameters;
     let of = &p.shape;
     ensure!(
@@ -96,7 +96,7 @@ pub fn export(model: &MgeModel, with: &ExportSettings) -> Result<Export> {
 
 impl Tables {
     /// Taps, means, and the projection z = V·scale∘(c − c̄) with its columns in the order of increasing taps.
-    fn put_context(&mut self, model: &MgeModel) -> Result<()> {
+    fn put_context(&mut self, model: &RecurrentModel) -> Result<()> {
         let of = &model.parameters.shape;
         let mut order: Vec<usize> = (0..of.context.taps.len()).collect();
         order.sort_by_key(|&k| of.context.taps[k]);
@@ -135,7 +135,7 @@ impl Tables {
         Ok(())
     }
 
-    fn put_matrices(&mut self, model: &MgeModel) -> Result<()> {
+    fn put_matrices(&mut self, model: &RecurrentModel) -> Result<()> {
         let p = &model.parameters;
         let wide = |group: Group| p.matrix(group).mapv(f64::from);
         let bias = |group: Group, scale: f64| -> Vec<f64> {
@@ -218,7 +218,7 @@ impl Tables {
     }
 
     /// What the states of both chains own.
-    fn put_gates(&mut self, model: &MgeModel) -> Result<()> {
+    fn put_gates(&mut self, model: &RecurrentModel) -> Result<()> {
         let p = &model.parameters;
         let of = &p.shape;
         let audio = Owned {

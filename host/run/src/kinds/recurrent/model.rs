@@ -42,9 +42,6 @@ pub struct RecurrentModel {
     pub provenance: String,
 }
 
-/// The name that the engine and the export still call it by.
-pub type MgeModel = RecurrentModel;
-
 impl RecurrentModel {
     /// The loop over the parent's phones.
     pub fn chain(&self) -> Chain {
