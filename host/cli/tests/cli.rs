@@ -377,3 +377,24 @@ fn a_dash_is_standard_input_and_output() {
     let error = refuse(&folder, &["convert", &hello, "-m", &model, "-o", "out.txt"]);
     assert_eq!(error, "out.txt: write .npy, .csv or .json");
 }
+
+/// Pictures on a pipe and in a folder are the same ones.
+#[test]
+fn pictures_go_to_a_pipe_or_a_folder() {
+    let folder = common::folder("cli-pictures");
+    let (hello, model) = (hello(), path(&common::root().join("models/grid-s1.safetensors")));
+    let render = [
+        "render", &hello, "-m", &model, "--scale", "1", "--fps", "10", "-o",
+    ];
+    let raw = through(&folder, &hello, &[&render[..], &["-"]].concat());
+    let said = succeed(&folder, &[&render[..], &["frames/"]].concat());
+    let names = files(&folder.join("frames"));
+    assert_eq!(names.first().map(String::as_str), Some("000001.png"));
+    assert!(
+        said.contains(&format!("{} pictures of 64×48", names.len())),
+        "{said}"
+    );
+    assert_eq!(raw.len(), names.len() * 64 * 48 * 3);
+    let error = refuse(&folder, &[&render[..], &["frames/"]].concat());
+    assert!(error.contains("frames/ exists"), "{error}");
+}

@@ -1,19 +1,19 @@
 //! What makes lipstream's models: corpora, vision, training, alignment, evaluation.
 //!
 //! ```no_run
-//! use lipstream_make::corpus::{self, Settings};
+//! use lipstream_make::corpus::{self, PrepareSettings};
 //! use lipstream_make::features::FeatureFolder;
-//! use lipstream_make::train;
+//! use lipstream_make::train::{self, TrainSettings};
 //!
 //! // Clips of one speaker with labels or transcripts → a folder of features → a model.
-//! let prepare = Settings {
+//! let prepare = PrepareSettings {
 //!     corpus: "clips".into(),
 //!     out: "features".into(),
-//!     ..Settings::default()
+//!     ..PrepareSettings::default()
 //! };
 //! corpus::prepare(&prepare, &())?;
 //! let folder = FeatureFolder::open(&prepare.out)?;
-//! let model = train::train(&folder, &[], &train::Settings::default(), &|line| println!("{line}"))?;
+//! let model = train::train(&folder, &[], &TrainSettings::default(), &|line: &str| println!("{line}"))?;
 //! model.write("model.safetensors".as_ref())?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```

@@ -10,5 +10,6 @@
 
 pub mod encode;
 pub mod files;
+pub mod sink;
 pub mod sound;
 pub mod video;

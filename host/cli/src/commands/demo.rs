@@ -5,7 +5,7 @@ use anyhow::{Context as _, Result, bail};
 use indicatif::ProgressBar;
 use lipstream_core::SAMPLE_RATE_HZ;
 
-use super::render::name;
+use super::streams::file_name as name;
 use lipstream::cues::{self, Format};
 use lipstream::engine::{Converted, Engine, Kind, RunSettings};
 use lipstream::mouth::MouthSpace;

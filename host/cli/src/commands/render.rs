@@ -6,23 +6,27 @@ use indicatif::ProgressBar;
 use ndarray::Array2;
 
 use super::choices;
+use super::streams::{ending, file_name, is_standard, name, read_sound, say};
 use lipstream::cues;
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::parameters;
-use lipstream::render::{self, Settings, foreign, page};
+use lipstream::render::{self, Painter, Settings, page};
 use lipstream::tensors::Tensors;
-use lipstream_media::{files, sound};
+use lipstream_media::files;
+use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink};
 
 /// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), or parameters that `lipstream convert` wrote (.npy, 100 frames a second)
+    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), or parameters that `lipstream convert` wrote (.npy, 100 frames a second);
+    /// - is speech on standard input
     input: PathBuf,
     /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
     #[arg(short, long)]
     model: PathBuf,
-    /// Where to: .mp4, .html (a page that plays it); every other video format needs ffmpeg
+    /// Where to: .mp4, .html (a page that plays it), FOLDER/ (numbered PNG files), - (raw rgb24 pictures on standard output); every
+    /// other video format needs ffmpeg
     #[arg(short, long)]
     output: PathBuf,
     /// Sound of the video, when the input is parameters
@@ -63,48 +67,69 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let tracks = performance.tracks.view();
     let sound = performance.sound.as_deref();
     let bar = ProgressBar::new(0).with_message("pictures");
-    let progress = |done: usize, all: usize| {
-        bar.set_length(all as u64);
+    let progress = |done: usize, total: usize| {
+        bar.set_length(total as u64);
         bar.set_position(done as u64);
     };
-    let pictures = match ending(&args.output).as_str() {
-        "mp4" => {
-            let rendered = render::to_mp4(&space, tracks, sound, &settings, progress)?;
-            files::write_bytes(&args.output, &rendered.mp4)?;
-            rendered.pictures
-        }
-        "html" => {
-            let (Some(visemes), Some(sound)) = (&performance.visemes, sound) else {
-                bail!("a page shows what the model hears: give speech, not parameters");
-            };
-            let rendered = render::to_mp4(&space, tracks, Some(sound), &settings, progress)?;
-            let seconds = sound.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
-            let text = page::write(&page::Page {
-                title: &name(&args.input),
-                mp4: &rendered.mp4,
-                sound,
-                viseme_weights: visemes.view(),
-                parameters: tracks,
-                deviation: space.deviation.view(),
-                cues: &cues::cues(visemes.view(), seconds)?,
-            })?;
-            files::write_bytes(&args.output, text.as_bytes())?;
-            rendered.pictures
-        }
-        _ => foreign::write(&args.output, &space, tracks, sound, &settings, progress)?,
+    let pictures = if ending(&args.output) == "html" {
+        let (Some(visemes), Some(sound)) = (&performance.visemes, sound) else {
+            bail!("a page shows what the model hears: give speech, not parameters");
+        };
+        let rendered = render::to_mp4(&space, tracks, Some(sound), &settings, progress)?;
+        let seconds = sound.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
+        let text = page::write(&page::Page {
+            title: &file_name(&args.input),
+            mp4: &rendered.mp4,
+            sound,
+            viseme_weights: visemes.view(),
+            parameters: tracks,
+            deviation: space.deviation.view(),
+            cues: &cues::cues(visemes.view(), seconds)?,
+        })?;
+        files::write_bytes(&args.output, text.as_bytes())?;
+        rendered.pictures
+    } else {
+        let mut scene = Painter::new(&space, &settings)?;
+        let film = render::film(&scene, &settings, sound);
+        let mut sink = sink(&args.output, &film)?;
+        let pictures = render::play(&mut scene, tracks, &film, |rgb| sink.picture(rgb), progress)?;
+        sink.finish()?;
+        pictures
     };
     bar.finish_and_clear();
-    println!(
-        "{}: {pictures} pictures of {width}×{height}, {:.2} s{}",
-        args.output.display(),
-        pictures as f64 / f64::from(args.fps),
-        if sound.is_some() {
-            ""
-        } else {
-            ", without sound (--audio WAV adds it)"
-        }
+    say(
+        &args.output,
+        &format!(
+            "{pictures} pictures of {width}×{height}, {:.2} s{}",
+            pictures as f64 / f64::from(args.fps),
+            if sound.is_some() {
+                ""
+            } else {
+                ", without sound (--audio WAV adds it)"
+            }
+        ),
     );
     Ok(())
+}
+
+/// Where the pictures go, by the output's name.
+fn sink(output: &Path, film: &Film) -> Result<Box<dyn Sink>> {
+    if is_standard(output) {
+        return Ok(Box::new(RawFrames::new(std::io::BufWriter::new(
+            std::io::stdout(),
+        ))));
+    }
+    let is_folder = output
+        .as_os_str()
+        .to_string_lossy()
+        .ends_with(std::path::is_separator);
+    if is_folder {
+        return Ok(Box::new(PngFrames::new(output, film)?));
+    }
+    Ok(match ending(output).as_str() {
+        "mp4" => Box::new(Mp4::new(output, film)?),
+        _ => Box::new(Ffmpeg::new(output, film)?),
+    })
 }
 
 /// The mouth of a model or of a feature folder.
@@ -122,7 +147,7 @@ fn mouth(path: &Path) -> Result<MouthSpace> {
 fn performance(args: &Args) -> Result<Performance> {
     if ending(&args.input) == "npy" {
         let sound = match &args.audio {
-            Some(path) => Some(sound::read(path)?.samples),
+            Some(path) => Some(read_sound(path)?.samples),
             None => None,
         };
         return Ok(Performance {
@@ -134,30 +159,14 @@ fn performance(args: &Args) -> Result<Performance> {
     if args.audio.is_some() {
         bail!("--audio goes with parameters (.npy); speech is its own sound");
     }
-    let samples = sound::read(&args.input)?.samples;
+    let samples = read_sound(&args.input)?.samples;
     let engine = Engine::open(&args.model, args.engine.into())?;
     let converted = engine.convert(&samples, &RunSettings::default())?;
     parameters::check(converted.parameters.view())
-        .with_context(|| format!("{} gives no mouth", args.input.display()))?;
+        .with_context(|| format!("{} gives no mouth", name(&args.input)))?;
     Ok(Performance {
         tracks: converted.parameters,
         visemes: Some(converted.visemes),
         sound: Some(samples),
     })
-}
-
-/// Ending of a file's name in lower case, without the dot.
-fn ending(path: &Path) -> String {
-    path.extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_lowercase()
-}
-
-/// A file's name without its folder.
-pub(crate) fn name(path: &Path) -> String {
-    path.file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .into_owned()
 }

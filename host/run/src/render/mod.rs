@@ -4,15 +4,14 @@
 //! screen from n/fps to (n + 1)/fps seconds and shows the parameters of the middle of that time, as training takes picture n
 //! of a recording for the middle of its exposure.
 use anyhow::{Result, bail};
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
-use ndarray::{Array2, ArrayView2};
+use lipstream_core::SAMPLE_RATE_HZ;
+use lipstream_media::sink::{Film, Mp4Bytes};
+use ndarray::{Array1, ArrayView1, ArrayView2};
 
 use crate::mouth::MouthSpace;
-use crate::parameters;
-use lipstream_media::encode::{aac, colour, h264, mp4};
+use crate::{parameters, time};
 
 pub mod drawn;
-pub mod foreign;
 pub mod page;
 mod painter;
 
@@ -67,34 +66,116 @@ pub fn picture_count(samples: usize, fps: u32) -> usize {
     (samples as u64 * u64::from(fps)).div_ceil(u64::from(SAMPLE_RATE_HZ)) as usize
 }
 
-/// Samples that `frames` parameter frames cover, first window to last.
-pub fn samples_covered(frames: usize) -> usize {
-    match frames {
-        0 => 0,
-        n => (n - 1) * HOP_SAMPLES + FRAME_SAMPLES,
-    }
+/// What draws: parameters of one moment in, a picture out. It does not know where pictures go.
+///
+/// To add one: a file here with its `Scene`.
+pub trait Scene {
+    /// Width and height of the pictures.
+    fn size(&self) -> (usize, usize);
+
+    /// Numbers that a picture is drawn from.
+    fn n_parameters(&self) -> usize;
+
+    /// Rows of interleaved R, G, B for parameters `[D]`.
+    ///
+    /// # Errors
+    ///
+    /// What keeps the picture from being drawn.
+    fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>>;
 }
 
-/// Rows of `tracks`, at 100 Hz, as they are in the middle of each of `pictures` pictures' time; linear in between.
-pub fn at_pictures(tracks: ArrayView2<f32>, fps: u32, pictures: usize) -> Array2<f32> {
-    let last = tracks.nrows().saturating_sub(1) as f32;
-    let mut out = Array2::zeros((pictures, tracks.ncols()));
-    for n in 0..pictures {
-        let sample = (n as f64 + 0.5) * f64::from(SAMPLE_RATE_HZ) / f64::from(fps);
-        let frame = (sample - FRAME_SAMPLES as f64 / 2.0) / HOP_SAMPLES as f64;
-        let frame = (frame as f32).clamp(0.0, last);
-        let (before, part) = (frame.floor() as usize, frame.fract());
-        let after = (before + 1).min(last as usize);
-        for ((o, a), b) in out
-            .row_mut(n)
-            .iter_mut()
-            .zip(tracks.row(before))
-            .zip(tracks.row(after))
-        {
-            *o = a + part * (b - a);
+/// Plays parameter frames, 100 a second, into pictures of a scene: each shows the parameters in the middle of its time, linear in
+/// between. Frames may come from a stream; two of them are kept.
+pub struct Player<'a> {
+    scene: &'a mut dyn Scene,
+    fps: u32,
+    /// Frames that came so far.
+    frames: usize,
+    /// The last of them, and the one before.
+    last: Vec<f32>,
+    before: Vec<f32>,
+    pictures: usize,
+}
+
+impl<'a> Player<'a> {
+    pub fn new(scene: &'a mut dyn Scene, fps: u32) -> Self {
+        Self {
+            scene,
+            fps,
+            frames: 0,
+            last: Vec::new(),
+            before: Vec::new(),
+            pictures: 0,
         }
     }
-    out
+
+    /// Pictures drawn so far.
+    pub fn pictures(&self) -> usize {
+        self.pictures
+    }
+
+    /// The next frame; `each` is called with the pictures that it completes.
+    ///
+    /// # Errors
+    ///
+    /// Parameters that are no numbers or not as many as the scene draws from, and what scene and `each` say.
+    pub fn frame(&mut self, parameters: &[f32], mut each: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let wanted = self.scene.n_parameters();
+        if parameters.len() != wanted {
+            bail!(
+                "the parameters are {} a frame, the model's mouth has {wanted}: they come from another model",
+                parameters.len()
+            );
+        }
+        if let Some(k) = parameters.iter().position(|v| !v.is_finite()) {
+            bail!("parameter {k} of frame {} is {}", self.frames, parameters[k]);
+        }
+        std::mem::swap(&mut self.before, &mut self.last);
+        self.last.clear();
+        self.last.extend(parameters);
+        self.frames += 1;
+        // A picture between two frames needs both; one at or before the first needs the first alone.
+        while self.frames > 1 && self.place().floor() as usize + 1 < self.frames {
+            self.picture(&mut each)?;
+        }
+        Ok(())
+    }
+
+    /// The sound has ended: the pictures up to its end, `samples`, in which the mouth rests where the last frame has left it.
+    ///
+    /// # Errors
+    ///
+    /// That there was no frame, and what scene and `each` say.
+    pub fn finish(&mut self, samples: usize, mut each: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        if self.frames == 0 {
+            bail!("there is no frame in them");
+        }
+        while self.pictures < picture_count(samples, self.fps).max(1) {
+            self.picture(&mut each)?;
+        }
+        Ok(())
+    }
+
+    /// The frame, fractions included, in the middle of the next picture's time; held to those that are there.
+    fn place(&self) -> f32 {
+        let middle = (self.pictures as f64 + 0.5) / f64::from(self.fps);
+        (time::frame_at(middle) as f32).max(0.0)
+    }
+
+    fn picture(&mut self, each: &mut impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+        let last = self.frames - 1;
+        let place = self.place().min(last as f32);
+        let (at, part) = (place.floor() as usize, place.fract());
+        let parameters: Array1<f32> = match at == last || self.before.is_empty() {
+            true => self.last.iter().copied().collect(),
+            false => std::iter::zip(&self.before, &self.last)
+                .map(|(a, b)| a + part * (b - a))
+                .collect(),
+        };
+        each(&self.scene.draw(parameters.view())?)?;
+        self.pictures += 1;
+        Ok(())
+    }
 }
 
 /// A finished video and what was drawn for it.
@@ -105,7 +186,40 @@ pub struct Rendered {
     pub pictures: usize,
 }
 
-/// Draws parameters `[frames, D]` at 100 Hz and writes them as MP4, with `sound` (16 kHz) where there is one.
+/// Draws parameters `[frames, D]` at 100 Hz into `sink`, with pictures to the end of the `sound` where there is one; gives their number.
+///
+/// `progress` is called with the number of pictures done and of all pictures.
+pub fn play(
+    scene: &mut dyn Scene,
+    tracks: ArrayView2<f32>,
+    film: &Film,
+    mut sink: impl FnMut(&[u8]) -> Result<()>,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<usize> {
+    parameters::check(tracks)?;
+    let samples = film
+        .sound
+        .map_or_else(|| time::samples_covered(tracks.nrows()), <[i16]>::len);
+    let all = picture_count(samples, film.fps).max(1);
+    let mut player = Player::new(scene, film.fps);
+    let mut done = 0;
+    let mut each = |rgb: &[u8]| {
+        // The sound may end before the frames do.
+        if done < all {
+            sink(rgb)?;
+            done += 1;
+            progress(done, all);
+        }
+        Ok(())
+    };
+    for row in tracks.outer_iter() {
+        player.frame(&row.to_vec(), &mut each)?;
+    }
+    player.finish(samples, &mut each)?;
+    Ok(all)
+}
+
+/// Draws parameters `[frames, D]` at 100 Hz and gives them as MP4 in memory, with `sound` (16 kHz) where there is one.
 ///
 /// `progress` is called with the number of pictures done and of all pictures.
 pub fn to_mp4(
@@ -113,46 +227,29 @@ pub fn to_mp4(
     tracks: ArrayView2<f32>,
     sound: Option<&[i16]>,
     settings: &Settings,
-    mut progress: impl FnMut(usize, usize),
+    progress: impl FnMut(usize, usize),
 ) -> Result<Rendered> {
-    let pictures = pictures_for(space, tracks, sound, settings)?;
-    let mut painter = Painter::new(space, settings)?;
-    let (width, height) = painter.size();
-    let mut encoder = h264::VideoEncoder::new(width, height, settings.fps)?;
-    for (n, weights) in pictures.outer_iter().enumerate() {
-        encoder.push(colour::from_rgb(&painter.paint(weights)?, width, height))?;
-        progress(n + 1, pictures.nrows());
-    }
-    let sound = match sound {
-        Some(samples) if !samples.is_empty() => Some(aac::encode(samples, SAMPLE_RATE_HZ)?),
-        _ => None,
-    };
+    let mut scene = Painter::new(space, settings)?;
+    let film = film(&scene, settings, sound);
+    let mut mp4 = Mp4Bytes::new(&film)?;
+    let pictures = play(&mut scene, tracks, &film, |rgb| mp4.picture(rgb), progress)?;
     Ok(Rendered {
-        mp4: mp4::write(&encoder.finish()?, sound.as_ref())?,
-        width,
-        height,
-        pictures: pictures.nrows(),
+        mp4: mp4.bytes()?,
+        width: film.width,
+        height: film.height,
+        pictures,
     })
 }
 
-/// The parameters of each picture; refuses what does not fit the mouth.
-fn pictures_for(
-    space: &MouthSpace,
-    tracks: ArrayView2<f32>,
-    sound: Option<&[i16]>,
-    settings: &Settings,
-) -> Result<Array2<f32>> {
-    parameters::check(tracks)?;
-    if tracks.ncols() != space.size() {
-        bail!(
-            "the parameters are {} a frame, the model's mouth has {}: they come from another model",
-            tracks.ncols(),
-            space.size()
-        );
+/// What a sink has to know of a scene.
+pub fn film<'s>(scene: &dyn Scene, settings: &Settings, sound: Option<&'s [i16]>) -> Film<'s> {
+    let (width, height) = scene.size();
+    Film {
+        width,
+        height,
+        fps: settings.fps,
+        sound,
     }
-    let samples = sound.map_or(samples_covered(tracks.nrows()), <[i16]>::len);
-    let count = picture_count(samples, settings.fps).max(1);
-    Ok(at_pictures(tracks, settings.fps, count))
 }
 
 #[cfg(test)]

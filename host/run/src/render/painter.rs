@@ -6,10 +6,10 @@ use rand_pcg::Pcg32;
 use resize::Pixel;
 use resize::px::RGB;
 
-use super::Settings;
+use super::{Scene, Settings};
 use crate::mouth::MouthSpace;
 
-/// Draws mouths of one size.
+/// The mouth alone, in pictures of one size.
 pub struct Painter<'a> {
     space: &'a MouthSpace,
     enlarge: resize::Resizer<resize::formats::Rgb<f32, f32>>,
@@ -45,14 +45,19 @@ impl<'a> Painter<'a> {
             random: Pcg32::seed_from_u64(7),
         })
     }
+}
 
-    /// Width and height.
-    pub fn size(&self) -> (usize, usize) {
+impl Scene for Painter<'_> {
+    fn size(&self) -> (usize, usize) {
         (self.width, self.height)
     }
 
-    /// Rows of interleaved R, G, B for eigenmouth weights `[D]`.
-    pub fn paint(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
+    fn n_parameters(&self) -> usize {
+        self.space.size()
+    }
+
+    /// From eigenmouth weights `[D]`.
+    fn draw(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
         let mut image = self.space.expand(weights);
         if self.noise > 0.0 {
             for value in &mut image {
@@ -109,7 +114,7 @@ mod tests {
         let mut painter = Painter::new(&space, &Settings::default()).unwrap();
         assert_eq!(painter.size(), (384, 384));
         for (weight, want) in [(0.0, 100), (55.4, 155), (500.0, 255), (-500.0, 0)] {
-            let rgb = painter.paint(array![weight].view()).unwrap();
+            let rgb = painter.draw(array![weight].view()).unwrap();
             assert_eq!(rgb.len(), 384 * 384 * 3);
             assert!(rgb.iter().all(|&v| v == want), "{weight}");
         }
@@ -126,7 +131,7 @@ mod tests {
         let mut painter = Painter::new(&space, &settings).unwrap();
         let mut values = Vec::new();
         for _ in 0..20 {
-            values.extend(painter.paint(array![0.0].view()).unwrap());
+            values.extend(painter.draw(array![0.0].view()).unwrap());
         }
         let n = values.len() as f64;
         let mean = values.iter().map(|&v| f64::from(v)).sum::<f64>() / n;

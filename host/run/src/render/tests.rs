@@ -1,5 +1,9 @@
 //! The whole way from parameters to a file, read back by a reader of its own.
 use super::*;
+use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES};
+use lipstream_media::encode::{aac, colour};
+use lipstream_media::sink::Sink as _;
+use ndarray::Array2;
 use rusty_h264_decoder::Decoder;
 
 /// Content of the first box at `path` below `bytes`.
@@ -151,7 +155,8 @@ fn check_pictures(space: &MouthSpace, tracks: &Array2<f32>, settings: &Settings,
         .collect();
     assert_eq!(key, [1, 26, 51]);
 
-    let meant = at_pictures(tracks.view(), settings.fps, video.samples.len());
+    let meant = at_pictures(tracks.view(), settings.fps, video.samples.len() * 640);
+    assert_eq!(meant.nrows(), video.samples.len());
     let mut painter = Painter::new(space, settings).unwrap();
     let mut decoder = Decoder::new();
     for (n, sample) in video.samples.iter().enumerate() {
@@ -175,7 +180,7 @@ fn check_pictures(space: &MouthSpace, tracks: &Array2<f32>, settings: &Settings,
             cb: got.u,
             cr: got.v,
         });
-        let want = painter.paint(meant.row(n)).unwrap();
+        let want = painter.draw(meant.row(n)).unwrap();
         let error: f64 = got
             .iter()
             .zip(&want)
@@ -248,14 +253,22 @@ fn other_formats_need_ffmpeg_and_say_so() {
         scale: Some(1),
         ..Settings::default()
     };
-    match foreign::write(
-        &path,
-        &space,
-        tracks.view(),
-        Some(&tone(8000)),
-        &settings,
-        |_, _| {},
-    ) {
+    let sound = tone(8000);
+    let written = || -> Result<usize> {
+        let mut scene = Painter::new(&space, &settings)?;
+        let film = film(&scene, &settings, Some(&sound));
+        let mut sink = Box::new(lipstream_media::sink::Ffmpeg::new(&path, &film)?);
+        let pictures = play(
+            &mut scene,
+            tracks.view(),
+            &film,
+            |rgb| sink.picture(rgb),
+            |_, _| {},
+        )?;
+        sink.finish()?;
+        Ok(pictures)
+    };
+    match written() {
         Ok(pictures) => {
             assert_eq!(pictures, 13);
             assert!(std::fs::read(&path).unwrap().starts_with(b"GIF89a"));
@@ -271,12 +284,51 @@ fn other_formats_need_ffmpeg_and_say_so() {
     assert_eq!(left, usize::from(path.exists()));
 }
 
+/// A scene that notes what it is to draw.
+struct Noted {
+    width: usize,
+    seen: Vec<f32>,
+}
+
+impl Scene for Noted {
+    fn size(&self) -> (usize, usize) {
+        (16, 16)
+    }
+
+    fn n_parameters(&self) -> usize {
+        self.width
+    }
+
+    fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>> {
+        self.seen.extend(parameters);
+        Ok(Vec::new())
+    }
+}
+
+/// The parameters of each picture of a sound of so many samples.
+fn at_pictures(tracks: ArrayView2<f32>, fps: u32, samples: usize) -> Array2<f32> {
+    let mut scene = Noted {
+        width: tracks.ncols(),
+        seen: Vec::new(),
+    };
+    let sound = vec![0; samples];
+    let film = Film {
+        width: 16,
+        height: 16,
+        fps,
+        sound: Some(&sound),
+    };
+    let count = play(&mut scene, tracks, &film, |_| Ok(()), |_, _| {}).unwrap();
+    scene.seen.truncate(count * tracks.ncols());
+    Array2::from_shape_vec((count, tracks.ncols()), scene.seen).unwrap()
+}
+
 #[test]
 fn a_ramp_is_read_at_the_right_time() {
     // Parameter = the sample that the frame belongs to, so picture n must read 16000·(n + ½)/fps.
     let ramp = Array2::from_shape_fn((300, 1), |(t, _)| (160 * t + 200) as f32);
     for fps in [25, 30, 50] {
-        let seen = at_pictures(ramp.view(), fps, 50);
+        let seen = at_pictures(ramp.view(), fps, 50 * 16_000 / fps as usize);
         for (n, value) in seen.column(0).iter().enumerate().skip(1) {
             let want = 16_000.0 * (n as f32 + 0.5) / fps as f32;
             assert!((value - want).abs() < 0.5, "{fps} {n}: {value} {want}");
@@ -288,6 +340,6 @@ fn a_ramp_is_read_at_the_right_time() {
 fn pictures_last_as_long_as_the_sound() {
     assert_eq!(picture_count(16_000, 25), 25);
     assert_eq!(picture_count(16_001, 25), 26);
-    assert_eq!(samples_covered(1), 400);
-    assert_eq!(samples_covered(98), 97 * 160 + 400);
+    assert_eq!(time::samples_covered(1), 400);
+    assert_eq!(time::samples_covered(98), 97 * 160 + 400);
 }

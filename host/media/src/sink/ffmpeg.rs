@@ -1,0 +1,119 @@
+//! Every other video format, through the `ffmpeg` program.
+use std::ffi::OsString;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, Command, Stdio};
+
+use anyhow::{Context as _, Result, anyhow, bail};
+
+use super::{Film, Sink, aside, rename};
+use crate::sound;
+
+/// A film in whatever format `ffmpeg` makes of the ending of its name.
+pub struct Ffmpeg {
+    path: PathBuf,
+    unfinished: PathBuf,
+    running: Child,
+    /// None once ffmpeg has stopped listening.
+    stdin: Option<ChildStdin>,
+    /// Where the film and its sound lie until it is whole. Last: what is in it outlives ffmpeg.
+    _aside: tempfile::TempDir,
+}
+
+impl Ffmpeg {
+    /// Starts `ffmpeg`; says what to do where it is missing.
+    pub fn new(path: &Path, film: &Film) -> Result<Self> {
+        let ending = path
+            .extension()
+            .ok_or_else(|| anyhow!("{} has no ending: write .mp4, .webm, .gif …", path.display()))?;
+        let gif = ending.eq_ignore_ascii_case("gif");
+        let aside = aside(path)?;
+        let mut name = OsString::from("video.");
+        name.push(ending);
+        let unfinished = aside.path().join(name);
+
+        let mut ffmpeg = Command::new("ffmpeg");
+        ffmpeg.args(["-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        let (width, height) = (film.width, film.height);
+        ffmpeg.args(["-s", &format!("{width}x{height}"), "-r", &film.fps.to_string()]);
+        ffmpeg.args(["-i", "-"]);
+        if let Some(samples) = film.sound.filter(|_| !gif) {
+            let wav = aside.path().join("sound.wav");
+            sound::write(&wav, samples)?;
+            ffmpeg.arg("-i").arg(wav);
+        }
+        if gif {
+            let palette = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=bayer";
+            ffmpeg.args(["-vf", palette]);
+        }
+        ffmpeg
+            .arg(&unfinished)
+            .stdin(Stdio::piped())
+            .stderr(Stdio::piped());
+        let mut running = ffmpeg.spawn().map_err(|e| {
+            anyhow!(
+                "cannot run ffmpeg ({e}), which every format but .mp4 needs: install it (Debian: apt install ffmpeg) \
+                 or write .mp4"
+            )
+        })?;
+        Ok(Self {
+            path: path.to_owned(),
+            unfinished,
+            stdin: running.stdin.take(),
+            running,
+            _aside: aside,
+        })
+    }
+}
+
+impl Sink for Ffmpeg {
+    fn picture(&mut self, rgb: &[u8]) -> Result<()> {
+        // What ffmpeg did not like it says when it has ended.
+        if self
+            .stdin
+            .as_mut()
+            .is_some_and(|stdin| stdin.write_all(rgb).is_err())
+        {
+            self.stdin = None;
+            return self.end();
+        }
+        Ok(())
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<()> {
+        self.stdin = None;
+        self.end()?;
+        rename(&self.unfinished, &self.path)
+    }
+}
+
+impl Ffmpeg {
+    /// Waits for ffmpeg's end, and says what went wrong.
+    fn end(&mut self) -> Result<()> {
+        use std::io::Read as _;
+        let mut said = String::new();
+        if let Some(mut stderr) = self.running.stderr.take() {
+            // Words that cannot be read only make the error less talkative.
+            let _ = stderr.read_to_string(&mut said);
+        }
+        let status = self.running.wait().context("ffmpeg did not end")?;
+        if !status.success() {
+            bail!(
+                "ffmpeg cannot write {}: {}",
+                self.path.display(),
+                said.lines().last().unwrap_or("it ended without a word")
+            );
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Ffmpeg {
+    /// A film that breaks off takes its ffmpeg with it.
+    fn drop(&mut self) {
+        self.stdin = None;
+        // One that has ended already cannot be killed, which is as well.
+        let _ = self.running.kill();
+        let _ = self.running.wait();
+    }
+}

@@ -1,0 +1,25 @@
+//! Raw pictures one after the other, for another program's pipe: `ffmpeg -f rawvideo -pix_fmt rgb24 -s WIDTHxHEIGHT -r FPS -i -`.
+use std::io::Write;
+
+use anyhow::Result;
+
+use super::Sink;
+
+/// Writes rows of R, G, B, nothing between them.
+pub struct RawFrames<W>(W);
+
+impl<W: Write> RawFrames<W> {
+    pub fn new(to: W) -> Self {
+        Self(to)
+    }
+}
+
+impl<W: Write> Sink for RawFrames<W> {
+    fn picture(&mut self, rgb: &[u8]) -> Result<()> {
+        Ok(self.0.write_all(rgb)?)
+    }
+
+    fn finish(mut self: Box<Self>) -> Result<()> {
+        Ok(self.0.flush()?)
+    }
+}
