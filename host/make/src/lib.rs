@@ -28,6 +28,7 @@ pub mod em;
 pub mod error;
 pub mod evaluate;
 pub mod features;
+mod hash;
 pub mod mge;
 pub mod noise;
 pub mod shelf;

@@ -4,6 +4,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 use serde::Serialize;
 
+use crate::hash::fnv1a;
 use lipstream::random::normal_f64;
 use lipstream::reference::normalise::SpeechGate;
 use lipstream::reference::{energy, frame_count};
@@ -32,11 +33,7 @@ pub const VOICES: usize = 6;
 
 /// A generator of its own for each clip, kind and seed: the same noise whatever else is measured.
 pub fn generator(seed: u64, id: &str, what: &str) -> Pcg64 {
-    // FNV-1a.
-    let mut hash = 0xcbf2_9ce4_8422_2325u64;
-    for byte in id.bytes().chain([0]).chain(what.bytes()) {
-        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    }
+    let hash = fnv1a(id.bytes().chain([0]).chain(what.bytes()));
     Pcg64::seed_from_u64(hash ^ seed)
 }
 

@@ -2,6 +2,7 @@
 //!
 //! `cache/ID.KIND` holds one line: size and time of the inputs and the settings that matter. It is written
 //! after the file it vouches for, and both are whole or absent: a file without its note is made again.
+use crate::hash::fnv1a;
 use std::path::{Path, PathBuf};
 use std::time::UNIX_EPOCH;
 
@@ -22,11 +23,9 @@ pub(super) fn of_file(path: &Path) -> Result<String> {
     Ok(format!("{} {} {modified}", path.display(), meta.len()))
 }
 
-/// FNV-1a: long lists of stamps in one short word.
+/// Long lists of stamps in one short word.
 pub(super) fn digest(text: &str) -> u64 {
-    text.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| {
-        (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3)
-    })
+    fnv1a(text.bytes())
 }
 
 /// The notes of one clip.

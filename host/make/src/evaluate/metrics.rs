@@ -80,7 +80,7 @@ impl Score {
         self.frames as usize
     }
 
-    /// Mean squared distance per frame. What the paper's name says (DESIGN section 10).
+    /// Mean squared distance per frame. What the paper's name says (`docs/evaluation.md`).
     pub fn amse(&self) -> f64 {
         self.squared / self.frames
     }

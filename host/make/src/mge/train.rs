@@ -22,6 +22,7 @@ use super::start::{Seen, start};
 use crate::em::source::in_order;
 use crate::error::{Error, Result, bail};
 use crate::features::FeatureFolder;
+use crate::hash::Fnv1a;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS};
 use lipstream::kinds::recurrent::model::{LEAST, RecurrentModel, check_parent};
@@ -290,14 +291,10 @@ fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Result<Ju
     )
 }
 
-/// A number that settings and data share with no other run (FNV-1a).
+/// A number that settings and data share with no other run.
 fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
-    let mut hash = 0xcbf2_9ce4_8422_2325u64;
-    let mut eat = |bytes: &[u8]| {
-        for b in bytes {
-            hash = (hash ^ u64::from(*b)).wrapping_mul(0x0000_0100_0000_01b3);
-        }
-    };
+    let mut hash = Fnv1a::new();
+    let mut eat = |bytes: &[u8]| hash.eat(bytes.iter().copied());
     eat(format!("{settings:?}").as_bytes());
     let mut eat_clip = |clip: Clip| {
         eat(clip.id.as_bytes());
@@ -318,5 +315,5 @@ fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
     for clips in [&data.train, &data.heard, &data.validation] {
         in_order(clips.len(), |n| clips.get(n), &mut eat_clip)?;
     }
-    Ok(hash)
+    Ok(hash.value())
 }

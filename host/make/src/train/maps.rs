@@ -1,4 +1,4 @@
-//! The last stage: how the HMM is to be followed, and what it says. Local linear maps (DESIGN section 6) under the
+//! The last stage: how the HMM is to be followed, and what it says. Local linear maps (`docs/design.md` section 6) under the
 //! occupancies that conversion will see, and the exponents of conversion by means (X&L section 4).
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, s};

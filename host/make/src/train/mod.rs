@@ -1,4 +1,4 @@
-//! From feature folders to a model (DESIGN section 4): joint EM on audio and video, the audio densities retrained on
+//! From feature folders to a model (`docs/design.md` section 4): joint EM on audio and video, the audio densities retrained on
 //! many speakers, recombination, and how the model is followed and what it says, chosen on validation clips.
 mod audio;
 mod bigram;

@@ -1,4 +1,4 @@
-//! Video to steady, colour-normalised mouth images and eigenmouths, without manual work (DESIGN section 7).
+//! Video to steady, colour-normalised mouth images and eigenmouths, without manual work (`docs/design.md` section 7).
 mod affine;
 mod colour;
 mod eigen;

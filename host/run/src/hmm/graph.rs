@@ -1,4 +1,4 @@
-//! Joint states and arcs (DESIGN section 3): a phone network unrolled into pairs of an audio and a visual state.
+//! Joint states and arcs (`docs/design.md` section 3): a phone network unrolled into pairs of an audio and a visual state.
 use std::collections::HashMap;
 
 use ndarray::Array3;

@@ -17,7 +17,7 @@ pub enum Speech {
     Means,
     /// The mean of the one state that the best path is in.
     Viterbi,
-    /// Local linear maps chosen by the visual states' occupancies (DESIGN section 6).
+    /// Local linear maps chosen by the visual states' occupancies (`docs/design.md` section 6).
     LocalLinear,
 }
 

@@ -1,6 +1,6 @@
 //! The front end in `f64`: the twin of `lipstream_core::frontend`, stage by stage under the same file names.
 //!
-//! HTK's `MFCC_E_D_A` (X&L section 5; DESIGN section 2): 39 numbers, 100 frames a second, of 16 kHz mono
+//! HTK's `MFCC_E_D_A` (X&L section 5; `docs/design.md` section 2): 39 numbers, 100 frames a second, of 16 kHz mono
 //! samples at int16 scale. It agrees with HTK's own HCopy within 1e-3 in every coefficient.
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC};
 use ndarray::{Array2, ArrayView2, Axis, concatenate, s};

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 
 use rayon::prelude::*;
 
+use crate::hash::fnv1a;
 use lipstream::phones::Phone;
 
 /// Letters to the left and to the right of the letter in question, widest context first.
@@ -47,12 +48,9 @@ pub fn held_out(word: &str) -> bool {
     hash(word.bytes()).is_multiple_of(50)
 }
 
-/// FNV-1a with a final mix; only equality and spread matter.
+/// A hash whose low bits are mixed once more; only equality and spread matter.
 fn hash(bytes: impl Iterator<Item = u8>) -> u64 {
-    let mut h = 0xcbf2_9ce4_8422_2325u64;
-    for b in bytes {
-        h = (h ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3);
-    }
+    let h = fnv1a(bytes);
     (h ^ (h >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9)
 }
 

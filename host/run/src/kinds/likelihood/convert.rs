@@ -1,5 +1,5 @@
 //! Conversion in floats: the phone loop followed by the sound alone, and the local linear maps that it chooses
-//! (DESIGN sections 5 and 6): what `core` does in integers, without beam or rounding. Systems that speak by means are
+//! (`docs/design.md` sections 5 and 6): what `core` does in integers, without beam or rounding. Systems that speak by means are
 //! in [`super::inversion`].
 use anyhow::{Result, bail};
 use ndarray::{Array2, Axis, s};

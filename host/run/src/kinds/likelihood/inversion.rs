@@ -2,7 +2,7 @@
 //! the best path's centres; and the old way, those centres themselves.
 //!
 //! E step: γ_t(v, k) by forward-backward over the phone loop, given oᵃ and the present ôᵛ.
-//! M step: ôᵛ_t = [Σ γ_t(v,k) Σ⁻¹_vk]⁻¹ Σ γ_t(v,k) Σ⁻¹_vk μ_vk (eq. 9 without its second weight; DESIGN section 5).
+//! M step: ôᵛ_t = [Σ γ_t(v,k) Σ⁻¹_vk]⁻¹ Σ γ_t(v,k) Σ⁻¹_vk μ_vk (eq. 9 without its second weight; `docs/design.md` section 5).
 //!
 //! The streams' likelihoods have exponents: α on the sound (frames overlap, so that they are not independent) and κ on
 //! the mouth. EM climbs Σ_q P(q) Π b_a(oᵃ)^α b_v(ôᵛ)^κ for any of them: ln b_v^κ = κ ln Σ_k, whose lower bound the M step

@@ -1,4 +1,4 @@
-//! Local linear visual densities (DESIGN section 6; COS eq. 9-11 with the cluster chosen by the HMM):
+//! Local linear visual densities (`docs/design.md` section 6; COS eq. 9-11 with the cluster chosen by the HMM):
 //! ôᵛ_t = W₀x_t + b₀ + Σ_v γ_t(v)·(W_v x_t + b_v), x a whitened projection of stacked cepstra.
 use ndarray::{Array2, ArrayView2, Axis, s};
 

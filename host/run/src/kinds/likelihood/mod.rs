@@ -32,7 +32,7 @@ pub struct ContextMap {
     pub projection: Array2<f32>,
 }
 
-/// Local linear visual densities (DESIGN section 6):
+/// Local linear visual densities (`docs/design.md` section 6):
 /// ôᵛ = W₀x + b₀ + Σ_v γ(v)·(W_v x + b_v).
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalLinear {
