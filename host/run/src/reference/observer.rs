@@ -156,7 +156,7 @@ mod tests {
                 all.extend(observer.finish());
                 assert_eq!(all.len(), whole.nrows(), "{length} in pieces of {piece}");
                 for ((want, got), statics) in whole.outer_iter().zip(&all).zip(&statics) {
-                    assert_eq!(want.as_slice(), Some(&got[..]));
+                    assert_eq!(want.to_vec(), got);
                     assert_eq!(statics[..], got[..N_STATIC]);
                 }
             }
