@@ -11,7 +11,7 @@ pub(crate) fn run(words: &[String]) -> anyhow::Result<()> {
     let bytes = std::fs::read(tables)?;
     let model = AnyModel::new_checked(&bytes)?;
     let sounds = args
-        .map(|path| sound::read(path.as_ref()).map(|s| s.samples))
+        .map(|path| Ok(sound::read(path.as_ref())?.samples))
         .collect::<anyhow::Result<Vec<_>>>()?;
     println!("beam (bits)  active: mean  largest  frames at the cap");
     for bits in [8, 10, 12, 14, 16, 18, 20, 24, 28] {

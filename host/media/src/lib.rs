@@ -13,3 +13,7 @@ pub mod files;
 pub mod sink;
 pub mod sound;
 pub mod video;
+
+/// Why something failed, in the words of whatever library it failed in. Errors here have it as their source; what they display is
+/// only their own part.
+pub type Cause = Box<dyn std::error::Error + Send + Sync>;

@@ -2,12 +2,13 @@
 //!
 //! Both are laid on one clock that starts with the file: the pictures at a constant rate, the sound padded or trimmed at
 //! its start, so that a stream that begins late stays in step with the other.
-use std::io::{BufReader, Read};
-use std::path::Path;
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, anyhow, bail};
 use serde::Deserialize;
+
+use crate::Cause;
 
 /// Pictures higher than this are scaled down while decoding: a mouth is never kept larger than that needs.
 pub const MAX_LINES: usize = 576;
@@ -15,6 +16,50 @@ pub const MAX_LINES: usize = 576;
 const MAX_BYTES: usize = 4 << 30;
 const GET_FFMPEG: &str = "lipstream reads video through it: install it (Debian, Ubuntu: `apt install ffmpeg`; Fedora: \
      `dnf install ffmpeg-free`; macOS: `brew install ffmpeg`; Windows: `winget install ffmpeg`)";
+
+/// Why a video was not read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum VideoError {
+    /// A program that reads video is not installed.
+    #[error("the program `{0}` is not there; {GET_FFMPEG}")]
+    NoProgram(&'static str),
+    /// A program that reads video is there and does not start.
+    #[error("cannot start `{program}`")]
+    NotStarted {
+        program: &'static str,
+        source: io::Error,
+    },
+    /// There is no such file.
+    #[error("{}: no such file", .0.display())]
+    NoFile(PathBuf),
+    /// ffmpeg or ffprobe refuses the file: what it could not do, and its last line.
+    #[error("{0}")]
+    Refused(String),
+    /// What ffmpeg or ffprobe gave cannot be understood or is cut off.
+    #[error("{0}")]
+    Answer(String),
+    /// The clip is readable and cannot be worked with: without pictures or a rate, of varying size, too long.
+    #[error("{0}")]
+    Unsuitable(String),
+    /// What was being done, or what it was done to, when `source` happened.
+    #[error("{what}")]
+    Context { what: String, source: Cause },
+    /// A pipe broke.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
+
+/// What everything here that can fail returns.
+type Result<T, E = VideoError> = std::result::Result<T, E>;
+
+/// Says what was being done when an error happened.
+fn context<E: Into<Cause>>(what: impl Into<String>) -> impl FnOnce(E) -> VideoError {
+    |source| VideoError::Context {
+        what: what.into(),
+        source: source.into(),
+    }
+}
 
 /// The pictures of one clip.
 #[derive(Clone, Debug)]
@@ -102,16 +147,20 @@ pub fn decode(path: &Path) -> Result<Frames> {
     }
     let status = child.wait()?;
     let messages = messages.join().unwrap_or_default();
-    let (width, height, rgb) = pictures.with_context(|| format!("cannot decode {}", path.display()))?;
+    let (width, height, rgb) = pictures.map_err(context(format!("cannot decode {}", path.display())))?;
     if !status.success() || rgb.is_empty() {
-        bail!(
+        return Err(VideoError::Refused(format!(
             "ffmpeg cannot decode {}: {}",
             path.display(),
             last_line(&messages)
-        );
+        )));
     }
-    let rate_hz =
-        ratio(&rate).ok_or_else(|| anyhow!("{}: ffprobe calls its picture rate {rate:?}", path.display()))?;
+    let rate_hz = ratio(&rate).ok_or_else(|| {
+        VideoError::Answer(format!(
+            "{}: ffprobe calls its picture rate {rate:?}",
+            path.display()
+        ))
+    })?;
     Ok(Frames {
         width,
         height,
@@ -147,23 +196,23 @@ pub fn decode_sound(path: &Path) -> Result<Vec<u8>> {
         .output()
         .map_err(|e| not_started("ffmpeg", e))?;
     if !out.status.success() {
-        bail!(
+        return Err(VideoError::Refused(format!(
             "ffmpeg finds no sound in {}: {}",
             path.display(),
             last_line(&out.stderr)
-        );
+        )));
     }
     let mut wav = out.stdout;
-    state_lengths(&mut wav).with_context(|| format!("the sound of {}", path.display()))?;
+    state_lengths(&mut wav).map_err(context(format!("the sound of {}", path.display())))?;
     Ok(wav)
 }
 
 /// Writes the true lengths into a WAV header that was written to a pipe.
 fn state_lengths(wav: &mut [u8]) -> Result<()> {
-    let too_long = || anyhow!("longer than a WAV file can be");
+    let too_long = || VideoError::Unsuitable("longer than a WAV file can be".to_owned());
     let riff = u32::try_from(wav.len().saturating_sub(8)).map_err(|_| too_long())?;
     if wav.len() < 12 || &wav[..4] != b"RIFF" || &wav[8..12] != b"WAVE" {
-        bail!("ffmpeg wrote no WAV file");
+        return Err(VideoError::Answer("ffmpeg wrote no WAV file".to_owned()));
     }
     wav[4..8].copy_from_slice(&riff.to_le_bytes());
     let mut at = 12;
@@ -176,7 +225,9 @@ fn state_lengths(wav: &mut [u8]) -> Result<()> {
         }
         at += 8 + size + size % 2;
     }
-    bail!("ffmpeg wrote a WAV file without samples")
+    Err(VideoError::Answer(
+        "ffmpeg wrote a WAV file without samples".to_owned(),
+    ))
 }
 
 #[derive(Deserialize)]
@@ -194,7 +245,7 @@ struct ProbeStream {
 /// The picture rate as ffmpeg writes it, `25/1`.
 fn picture_rate(path: &Path) -> Result<String> {
     if !path.is_file() {
-        bail!("{}: no such file", path.display());
+        return Err(VideoError::NoFile(path.to_owned()));
     }
     let out = program("ffprobe")
         .args([
@@ -211,23 +262,31 @@ fn picture_rate(path: &Path) -> Result<String> {
         .output()
         .map_err(|e| not_started("ffprobe", e))?;
     if !out.status.success() {
-        bail!(
+        return Err(VideoError::Refused(format!(
             "ffprobe cannot read {}: {}",
             path.display(),
             last_line(&out.stderr)
-        );
+        )));
     }
-    let probe: Probe = serde_json::from_slice(&out.stdout)
-        .with_context(|| format!("{}: ffprobe's answer is not understood", path.display()))?;
+    let probe: Probe = serde_json::from_slice(&out.stdout).map_err(context(format!(
+        "{}: ffprobe's answer is not understood",
+        path.display()
+    )))?;
     let Some(stream) = probe.streams.into_iter().next() else {
-        bail!("{}: there is no video in it", path.display());
+        return Err(VideoError::Unsuitable(format!(
+            "{}: there is no video in it",
+            path.display()
+        )));
     };
     // The nominal rate, unless it is only the clock of a video of varying rate.
     match (ratio(&stream.r_frame_rate), ratio(&stream.avg_frame_rate)) {
         (Some(nominal), Some(average)) if nominal > 1.05 * average => Ok(stream.avg_frame_rate),
         (Some(_), _) => Ok(stream.r_frame_rate),
         (None, Some(_)) => Ok(stream.avg_frame_rate),
-        (None, None) => bail!("{}: the video has no picture rate", path.display()),
+        (None, None) => Err(VideoError::Unsuitable(format!(
+            "{}: the video has no picture rate",
+            path.display()
+        ))),
     }
 }
 
@@ -245,19 +304,21 @@ fn read_pictures(from: &mut impl Read) -> Result<(usize, usize, Vec<u8>)> {
     while let Some((width, height)) = read_ppm_header(from)? {
         let (width0, height0) = *size.get_or_insert((width, height));
         if (width, height) != (width0, height0) {
-            bail!("the picture changes size from {width0}×{height0} to {width}×{height}");
+            return Err(VideoError::Unsuitable(format!(
+                "the picture changes size from {width0}×{height0} to {width}×{height}"
+            )));
         }
         let start = rgb.len();
         let end = start + width * height * 3;
         if end > MAX_BYTES {
-            bail!(
+            return Err(VideoError::Unsuitable(format!(
                 "longer than {} pictures of {width}×{height}: cut it into utterances of some seconds",
                 MAX_BYTES / (width * height * 3)
-            );
+            )));
         }
         rgb.resize(end, 0);
         from.read_exact(&mut rgb[start..])
-            .context("the last picture is cut off")?;
+            .map_err(context("the last picture is cut off"))?;
     }
     let (width, height) = size.unwrap_or((0, 0));
     Ok((width, height, rgb))
@@ -272,7 +333,7 @@ fn read_ppm_header(from: &mut impl Read) -> Result<Option<(usize, usize)>> {
             if words.len() == 1 && words[0].is_empty() {
                 return Ok(None);
             }
-            bail!("a picture's header is cut off");
+            return Err(VideoError::Answer("a picture's header is cut off".to_owned()));
         }
         let word = words.last_mut().expect("never empty");
         if byte[0].is_ascii_whitespace() {
@@ -280,16 +341,18 @@ fn read_ppm_header(from: &mut impl Read) -> Result<Option<(usize, usize)>> {
         } else if word.len() < 8 {
             word.push(char::from(byte[0]));
         } else {
-            bail!("ffmpeg wrote something that is no picture");
+            return Err(VideoError::Answer(
+                "ffmpeg wrote something that is no picture".to_owned(),
+            ));
         }
     }
     let number = |word: &str| word.parse::<usize>().ok().filter(|n| (1..=16384).contains(n));
     match (&words[0][..], number(&words[1]), number(&words[2]), &words[3][..]) {
         ("P6", Some(width), Some(height), "255") => Ok(Some((width, height))),
-        _ => bail!(
+        _ => Err(VideoError::Answer(format!(
             "ffmpeg wrote a picture of an unknown kind: {}",
             words.join(" ").trim()
-        ),
+        ))),
     }
 }
 
@@ -319,11 +382,10 @@ fn as_input(path: &Path) -> std::ffi::OsString {
     name
 }
 
-fn not_started(name: &str, error: std::io::Error) -> anyhow::Error {
-    if error.kind() == std::io::ErrorKind::NotFound {
-        anyhow!("the program `{name}` is not there; {GET_FFMPEG}")
-    } else {
-        anyhow!("cannot start `{name}`: {error}")
+fn not_started(program: &'static str, source: io::Error) -> VideoError {
+    match source.kind() {
+        io::ErrorKind::NotFound => VideoError::NoProgram(program),
+        _ => VideoError::NotStarted { program, source },
     }
 }
 
@@ -355,7 +417,10 @@ mod tests {
     #[test]
     fn damaged_streams_are_refused_in_words() {
         let says = |bytes: &[u8], words: &str| {
-            let text = format!("{:#}", read_pictures(&mut &bytes[..]).unwrap_err());
+            let text = format!(
+                "{:#}",
+                anyhow::Error::from(read_pictures(&mut &bytes[..]).unwrap_err())
+            );
             assert!(text.contains(words), "{text}");
         };
         says(b"P6\n4 2\n255\nabc", "cut off");

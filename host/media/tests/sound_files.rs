@@ -193,6 +193,7 @@ fn damaged_files_are_refused_or_read_but_never_a_panic() {
             match sound::decode(&damaged) {
                 Ok(_) => read += 1,
                 Err(error) => {
+                    let error = anyhow::Error::from(error);
                     assert!(!format!("{error:#}").contains('\n'), "{name}: {error:#}");
                     refused_count += 1;
                 }
@@ -282,6 +283,7 @@ fn damaged_packets_of_vorbis_are_refused_or_read_but_never_a_panic() {
         match sound::decode(&damaged) {
             Ok(_) => read += 1,
             Err(error) => {
+                let error = anyhow::Error::from(error);
                 assert!(!format!("{error:#}").contains('\n'), "{error:#}");
                 refused_count += 1;
             }

@@ -35,7 +35,7 @@ pub fn write(path: &Path, observations: &Array2<f32>) -> Result<()> {
     for value in observations {
         bytes.extend(value.to_be_bytes());
     }
-    files::write_bytes(path, &bytes)
+    Ok(files::write_bytes(path, &bytes)?)
 }
 
 /// Reads an uncompressed `MFCC_E_D_A` file at 10 ms.

@@ -22,5 +22,5 @@ pub fn read_npy(path: &Path) -> Result<Array2<f32>> {
 /// Writes a two-dimensional f32 array, whole or not at all.
 pub fn write_npy(path: &Path, array: &Array2<f32>) -> Result<()> {
     use ndarray_npy::WriteNpyExt;
-    files::write_whole(path, |file| Ok(array.write_npy(file)?))
+    Ok(files::write_whole(path, |file| array.write_npy(file))?)
 }

@@ -43,7 +43,7 @@ impl TensorsBuilder {
         let note = serde_json::to_string(&notes)?;
         let metadata = HashMap::from([("lipstream".to_owned(), note)]);
         let bytes = safetensors::serialize(views, Some(metadata))?;
-        files::write_bytes(path, &bytes)
+        Ok(files::write_bytes(path, &bytes)?)
     }
 }
 

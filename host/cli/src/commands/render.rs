@@ -92,7 +92,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         let mut scene = Painter::new(&space, &settings)?;
         let film = render::film(&scene, &settings, sound);
         let mut sink = sink(&args.output, &film)?;
-        let pictures = render::play(&mut scene, tracks, &film, |rgb| sink.picture(rgb), progress)?;
+        let pictures = render::play(&mut scene, tracks, &film, |rgb| Ok(sink.picture(rgb)?), progress)?;
         sink.finish()?;
         pictures
     };

@@ -22,7 +22,7 @@ pub(crate) fn name(path: &Path) -> String {
 /// Reads a sound file, or standard input.
 pub(crate) fn read_sound(path: &Path) -> Result<Sound> {
     if !is_standard(path) {
-        return sound::read(path);
+        return Ok(sound::read(path)?);
     }
     let mut bytes = Vec::new();
     io::stdin()
@@ -35,7 +35,7 @@ pub(crate) fn read_sound(path: &Path) -> Result<Sound> {
 /// Writes a file, whole or not at all, or standard output as it comes.
 pub(crate) fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
     if !is_standard(path) {
-        return files::write_whole(path, write);
+        return Ok(files::write_whole(path, write)?);
     }
     let mut out = io::BufWriter::new(io::stdout().lock());
     write(&mut out).and_then(|()| Ok(out.flush()?)).or_else(|error| {

@@ -268,7 +268,7 @@ fn track_one(
 
 fn write_mouths(path: &Path, images: &Array4<u8>) -> Result<()> {
     use ndarray_npy::WriteNpyExt;
-    files::write_whole(path, |file| Ok(images.write_npy(file)?)).map_err(Error::other)
+    files::write_whole(path, |file| images.write_npy(file)).map_err(Error::other)
 }
 
 /// Images brought to another size (width, height), bilinear, pixel centres on pixel centres.

@@ -1,49 +1,70 @@
 //! Sound for the video: AAC-LC access units (ISO/IEC 14496-3) without a container.
-use anyhow::{Context as _, Result};
+use std::io::Write;
+
+use super::EncodeError;
 
 /// Samples of one access unit.
 pub const FRAME_SAMPLES: u32 = 1024;
 /// Bits a second: at 16 kHz mono the decoded speech is 30 dB and more above its error (docs/rendering.md).
 const BITRATE: u32 = 64_000;
 
-/// One mono sound track.
+/// Samples that are encoded at a time: a second's worth, which bounds the memory that a long sound takes.
+const PIECE: usize = 16_384;
+
+/// What an MP4 header says of one mono sound track whose access units lie elsewhere.
 #[derive(Clone, Debug)]
 pub struct Sound {
     pub rate_hz: u32,
     /// AudioSpecificConfig, for the container's header.
     pub config: Vec<u8>,
-    pub units: Vec<Vec<u8>>,
+    /// Bytes of each access unit.
+    pub sizes: Vec<u32>,
     /// Samples that a decoder yields before the first real one.
     pub priming: u32,
     /// Real samples.
     pub samples: u64,
 }
 
-/// Encodes mono samples.
-pub fn encode(samples: &[i16], rate_hz: u32) -> Result<Sound> {
+/// Encodes mono samples and writes their access units one after the other, nothing between them, to `out`.
+///
+/// # Errors
+///
+/// That the encoder refuses the rate or the samples (there must be one at least), and what `out` says.
+pub fn encode(samples: &[i16], rate_hz: u32, out: &mut dyn Write) -> Result<Sound, EncodeError> {
     let mut options = syom::EncodeOptions::raw();
     options.bitrate_bps = BITRATE;
     options.band_refine = true;
     options.lookahead = true;
-    let mut encoder = syom::Encoder::new(rate_hz, 1, &options).context("the sound encoder refuses")?;
-    let plane: Vec<f32> = samples.iter().map(|&s| f32::from(s) / 32768.0).collect();
-    let mut units = Vec::new();
-    encoder
-        .feed(&[&plane], |unit| {
-            units.push(unit.payload.to_vec());
-            Ok(())
-        })
-        .context("cannot encode the sound")?;
+    let mut encoder =
+        syom::Encoder::new(rate_hz, 1, &options).map_err(|e| EncodeError::SoundRate(e.into()))?;
+    // The encoder's callback cannot say that a disk is full, so units are written between its calls.
+    let (mut sizes, mut bytes) = (Vec::new(), Vec::new());
+    let mut plane = Vec::with_capacity(PIECE);
+    for piece in samples.chunks(PIECE) {
+        plane.clear();
+        plane.extend(piece.iter().map(|&s| f32::from(s) / 32768.0));
+        encoder
+            .feed(&[&plane], |unit| {
+                sizes.push(unit.payload.len() as u32);
+                bytes.extend(unit.payload);
+                Ok(())
+            })
+            .map_err(|e| EncodeError::Sound(e.into()))?;
+        out.write_all(&bytes)?;
+        bytes.clear();
+    }
     let info = encoder
         .finish(|unit| {
-            units.push(unit.payload.to_vec());
+            sizes.push(unit.payload.len() as u32);
+            bytes.extend(unit.payload);
             Ok(())
         })
-        .context("cannot encode the sound")?;
+        .map_err(|e| EncodeError::Sound(e.into()))?;
+    out.write_all(&bytes)?;
     Ok(Sound {
         rate_hz,
         config: encoder.asc().to_vec(),
-        units,
+        sizes,
         priming: info.priming as u32,
         samples: samples.len() as u64,
     })
@@ -82,15 +103,20 @@ mod tests {
                 }
             })
             .collect();
-        let sound = encode(&tone, 16_000).unwrap();
-        let covered = sound.units.len() as u64 * u64::from(FRAME_SAMPLES);
+        let mut units = Vec::new();
+        let sound = encode(&tone, 16_000, &mut units).unwrap();
+        let covered = sound.sizes.len() as u64 * u64::from(FRAME_SAMPLES);
         assert!(covered >= u64::from(sound.priming) + sound.samples);
 
         let mut adts = Vec::new();
-        for unit in &sound.units {
+        let mut rest = &units[..];
+        for &size in &sound.sizes {
+            let (unit, after) = rest.split_at(size as usize);
             adts.extend(adts_header(unit.len()));
             adts.extend(unit);
+            rest = after;
         }
+        assert!(rest.is_empty());
         let back = syom::decode_with(&adts, &syom::DecodeOptions::unbounded()).unwrap();
         let (mut error, mut power) = (0.0f64, 0.0f64);
         for (i, &s) in tone.iter().enumerate() {

@@ -1,20 +1,20 @@
 //! Pictures to H.264 (ITU-T H.264, Constrained Baseline: the profile that every player decodes).
-use anyhow::{Result, anyhow, bail};
 use rusty_h264_common::YuvFrame;
 use rusty_h264_encoder::{Encoder, EncoderConfig, Preset};
 
+use super::EncodeError;
 use super::colour::Picture;
 
 /// Quantiser, 0..51: 22 keeps mouth pictures 48 dB above the coding error (docs/rendering.md).
 const QP: u8 = 22;
 
-/// A track that grows picture by picture.
+/// A track that grows picture by picture. The encoded pictures are handed out, not kept.
 pub struct VideoEncoder {
     encoder: Encoder,
     video: Video,
 }
 
-/// An H.264 track in the form that MP4 holds.
+/// What an MP4 header says of an H.264 track whose encoded pictures lie elsewhere.
 #[derive(Clone, Debug)]
 pub struct Video {
     pub width: u16,
@@ -23,8 +23,8 @@ pub struct Video {
     /// Sequence and picture parameter sets, without start codes.
     pub sps: Vec<u8>,
     pub pps: Vec<u8>,
-    /// One sample a picture: NAL units, each after its length in 4 bytes, big-endian.
-    pub samples: Vec<Vec<u8>>,
+    /// Bytes of each picture's sample.
+    pub sizes: Vec<u32>,
     /// Whether playing can start at the sample.
     pub key: Vec<bool>,
 }
@@ -37,29 +37,38 @@ mod nal {
 
 impl VideoEncoder {
     /// `fps` pictures a second; a key picture every second, so that seeking is quick.
-    pub fn new(width: usize, height: usize, fps: u32) -> Result<Self> {
+    ///
+    /// # Errors
+    ///
+    /// That the encoder refuses the size, or that a file cannot hold it.
+    pub fn new(width: usize, height: usize, fps: u32) -> Result<Self, EncodeError> {
         let mut config = EncoderConfig::baseline(width, height);
         config.preset = Preset::Balanced;
         config.qp = QP;
         config.gop_size = fps;
         config.framerate = fps as f32;
-        let encoder = Encoder::new(config).map_err(|e| anyhow!("the video encoder refuses: {e}"))?;
+        let encoder = Encoder::new(config).map_err(|e| EncodeError::Video(e.to_string()))?;
+        let side = |side: usize| u16::try_from(side).map_err(|_| EncodeError::Size { width, height });
         Ok(Self {
             encoder,
             video: Video {
-                width: u16::try_from(width)?,
-                height: u16::try_from(height)?,
+                width: side(width)?,
+                height: side(height)?,
                 fps,
                 sps: Vec::new(),
                 pps: Vec::new(),
-                samples: Vec::new(),
+                sizes: Vec::new(),
                 key: Vec::new(),
             },
         })
     }
 
-    /// Encodes the next picture.
-    pub fn push(&mut self, picture: Picture) -> Result<()> {
+    /// Encodes the next picture and gives its sample as MP4 holds it: NAL units, each after its length in 4 bytes, big-endian.
+    ///
+    /// # Errors
+    ///
+    /// That the encoder refuses the picture.
+    pub fn push(&mut self, picture: Picture) -> Result<Vec<u8>, EncodeError> {
         let frame = YuvFrame {
             width: picture.width,
             height: picture.height,
@@ -70,7 +79,10 @@ impl VideoEncoder {
         let unit = self
             .encoder
             .try_encode(&frame)
-            .map_err(|e| anyhow!("cannot encode picture {}: {e}", self.video.samples.len()))?;
+            .map_err(|e| EncodeError::Picture {
+                picture: self.video.sizes.len(),
+                said: e.to_string(),
+            })?;
         let (mut sample, mut key) = (Vec::new(), false);
         for nal in nal_units(&unit) {
             match nal[0] & 31 {
@@ -84,17 +96,21 @@ impl VideoEncoder {
             }
         }
         if sample.is_empty() {
-            bail!("picture {} was not encoded", self.video.samples.len());
+            return Err(EncodeError::NothingOf(self.video.sizes.len()));
         }
-        self.video.samples.push(sample);
+        self.video.sizes.push(sample.len() as u32);
         self.video.key.push(key);
-        Ok(())
+        Ok(sample)
     }
 
     /// The finished track.
-    pub fn finish(self) -> Result<Video> {
+    ///
+    /// # Errors
+    ///
+    /// That no picture came.
+    pub fn finish(self) -> Result<Video, EncodeError> {
         if self.video.sps.len() < 4 || self.video.pps.is_empty() {
-            bail!("there is no picture to encode");
+            return Err(EncodeError::NoPicture);
         }
         Ok(self.video)
     }
@@ -145,16 +161,19 @@ mod tests {
         let (width, height) = (64, 48);
         let pictures: Vec<Picture> = (0..30).map(|t| blob(width, height, t)).collect();
         let mut encoder = VideoEncoder::new(width, height, 25).unwrap();
-        for picture in &pictures {
-            encoder.push(picture.clone()).unwrap();
-        }
+        let samples: Vec<Vec<u8>> = pictures
+            .iter()
+            .map(|p| encoder.push(p.clone()).unwrap())
+            .collect();
         let video = encoder.finish().unwrap();
-        assert_eq!(video.samples.len(), 30);
+        let sizes: Vec<u32> = samples.iter().map(|s| s.len() as u32).collect();
+        assert_eq!(video.sizes, sizes);
+        assert_eq!(video.sizes.len(), 30);
         let keys: Vec<usize> = (0..30).filter(|&i| video.key[i]).collect();
         assert_eq!(keys, [0, 25]);
 
         let mut decoder = rusty_h264_decoder::Decoder::new();
-        for (t, sample) in video.samples.iter().enumerate() {
+        for (t, sample) in samples.iter().enumerate() {
             let mut stream = Vec::new();
             for set in [&video.sps, &video.pps] {
                 stream.extend([0, 0, 0, 1]);

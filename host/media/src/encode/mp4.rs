@@ -2,8 +2,9 @@
 //!
 //! The header comes first, so that a browser starts before it has everything. The sound track has an edit
 //! list that skips the codec's priming: sample 0 of the sound is heard when picture 0 is seen.
-use anyhow::{Result, bail};
+use std::io::{Read, Write};
 
+use super::EncodeError;
 use super::aac::{self, Sound};
 use super::h264::Video;
 
@@ -19,14 +20,25 @@ const MATRIX: [u32; 9] = [0x1_0000, 0, 0, 0, 0x1_0000, 0, 0, 0, 0x4000_0000];
 /// "und", the undetermined language, 5 bits a letter.
 const LANGUAGE: u16 = 0x55c4;
 
-/// The whole file.
-pub fn write(video: &Video, sound: Option<&Sound>) -> Result<Vec<u8>> {
+/// Writes the whole file. `pictures` and `units` give the encoded samples of the two tracks, one after the other: they are copied chunk
+/// by chunk, so that a film takes no more memory than the sizes of its samples.
+///
+/// # Errors
+///
+/// That the film is too large for this kind of file, and what the readers and `out` say.
+pub fn write(
+    out: &mut dyn Write,
+    video: &Video,
+    pictures: &mut dyn Read,
+    sound: Option<(&Sound, &mut dyn Read)>,
+) -> Result<(), EncodeError> {
+    let (sound, mut units) = sound.unzip();
     let layout = Layout::new(video, sound);
     if layout.payload > u64::from(u32::MAX) - (1 << 24) {
-        bail!("the video would be larger than 4 GB: render it in parts");
+        return Err(EncodeError::TooLarge);
     }
-    let mut out = Vec::new();
-    boxed(&mut out, b"ftyp", |b| {
+    let mut head = Vec::new();
+    boxed(&mut head, b"ftyp", |b| {
         b.extend(b"isom");
         u32s(b, &[0x200]);
         b.extend(b"isomiso2avc1mp41");
@@ -34,18 +46,22 @@ pub fn write(video: &Video, sound: Option<&Sound>) -> Result<Vec<u8>> {
     // The header's length does not depend on the offsets in it.
     let mut header = Vec::new();
     movie(&mut header, video, sound, &layout, 0);
-    let first = (out.len() + header.len() + 8) as u32;
-    movie(&mut out, video, sound, &layout, first);
-    boxed(&mut out, b"mdat", |b| {
-        for chunk in &layout.chunks {
-            let units = match chunk.track {
-                Track::Video => &video.samples,
-                Track::Sound => &sound.expect("a sound chunk comes from a sound track").units,
-            };
-            b.extend(units[chunk.from..chunk.to].iter().flatten());
+    let first = (head.len() + header.len() + 8) as u32;
+    movie(&mut head, video, sound, &layout, first);
+    u32s(&mut head, &[8 + layout.payload as u32]);
+    head.extend(b"mdat");
+    out.write_all(&head)?;
+    for chunk in &layout.chunks {
+        let from: &mut dyn Read = match chunk.track {
+            Track::Video => &mut *pictures,
+            Track::Sound => units.as_mut().expect("a sound chunk comes from a sound track"),
+        };
+        let copied = std::io::copy(&mut from.take(chunk.length), out)?;
+        if copied < chunk.length {
+            return Err(EncodeError::CutShort);
         }
-    });
-    Ok(out)
+    }
+    Ok(())
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -61,6 +77,8 @@ struct Chunk {
     to: usize,
     /// Bytes after the first chunk's first byte.
     offset: u64,
+    /// Bytes of its samples.
+    length: u64,
 }
 
 struct Layout {
@@ -77,42 +95,44 @@ impl Layout {
         };
         let pictures = video.fps.div_ceil(CHUNKS_PER_SECOND) as usize;
         let (mut picture, mut unit) = (0, 0);
-        let n_units = sound.map_or(0, |s| s.units.len());
-        while picture < video.samples.len() || unit < n_units {
-            let to = (picture + pictures).min(video.samples.len());
-            layout.add(Track::Video, &video.samples, picture, to);
+        let n_units = sound.map_or(0, |s| s.sizes.len());
+        while picture < video.sizes.len() || unit < n_units {
+            let to = (picture + pictures).min(video.sizes.len());
+            layout.add(Track::Video, &video.sizes, picture, to);
             picture = to;
             if let Some(sound) = sound {
                 // As much sound as there are pictures; all that is left after the last picture.
-                let to = if picture == video.samples.len() {
+                let to = if picture == video.sizes.len() {
                     n_units
                 } else {
                     let heard = picture as u64 * u64::from(sound.rate_hz) / u64::from(video.fps);
                     let units = (heard + u64::from(sound.priming)).div_ceil(u64::from(aac::FRAME_SAMPLES));
                     (units as usize).clamp(unit, n_units)
                 };
-                layout.add(Track::Sound, &sound.units, unit, to);
+                layout.add(Track::Sound, &sound.sizes, unit, to);
                 unit = to;
             }
         }
         layout
     }
 
-    fn add(&mut self, track: Track, samples: &[Vec<u8>], from: usize, to: usize) {
+    fn add(&mut self, track: Track, sizes: &[u32], from: usize, to: usize) {
         if from < to {
+            let length = sizes[from..to].iter().map(|&s| u64::from(s)).sum();
             self.chunks.push(Chunk {
                 track,
                 from,
                 to,
                 offset: self.payload,
+                length,
             });
-            self.payload += samples[from..to].iter().map(|s| s.len() as u64).sum::<u64>();
+            self.payload += length;
         }
     }
 }
 
 fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layout, first: u32) {
-    let seen = video.samples.len() as u64 * u64::from(MOVIE_SCALE) / u64::from(video.fps);
+    let seen = video.sizes.len() as u64 * u64::from(MOVIE_SCALE) / u64::from(video.fps);
     let heard = sound.map_or(0, |s| s.samples * u64::from(MOVIE_SCALE) / u64::from(s.rate_hz));
     boxed(out, b"moov", |b| {
         full(b, b"mvhd", 0, 0, |b| {
@@ -131,7 +151,7 @@ fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layou
             duration: seen as u32,
             media_start: 0,
             scale: video.fps * PICTURE_UNITS,
-            media_duration: video.samples.len() as u32 * PICTURE_UNITS,
+            media_duration: video.sizes.len() as u32 * PICTURE_UNITS,
             handler: b"vide",
             name: b"VideoHandler\0",
         };
@@ -152,7 +172,7 @@ fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layou
                     u32s(b, &[key.len() as u32]);
                     u32s(b, &key);
                 });
-                sample_tables(b, &video.samples, PICTURE_UNITS, layout, Track::Video, first);
+                sample_tables(b, &video.sizes, PICTURE_UNITS, layout, Track::Video, first);
             });
         });
         if let Some(sound) = sound {
@@ -163,7 +183,7 @@ fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layou
                 duration: heard as u32,
                 media_start: sound.priming,
                 scale: sound.rate_hz,
-                media_duration: sound.units.len() as u32 * aac::FRAME_SAMPLES,
+                media_duration: sound.sizes.len() as u32 * aac::FRAME_SAMPLES,
                 handler: b"soun",
                 name: b"SoundHandler\0",
             };
@@ -175,7 +195,7 @@ fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layou
                         u32s(b, &[1]);
                         aac_entry(b, sound);
                     });
-                    sample_tables(b, &sound.units, aac::FRAME_SAMPLES, layout, Track::Sound, first);
+                    sample_tables(b, &sound.sizes, aac::FRAME_SAMPLES, layout, Track::Sound, first);
                 });
             });
         }
@@ -270,9 +290,9 @@ fn avc_entry(out: &mut Vec<u8>, video: &Video) {
 }
 
 fn aac_entry(out: &mut Vec<u8>, sound: &Sound) {
-    let largest = sound.units.iter().map(Vec::len).max().unwrap_or(0) as u32;
-    let bits = 8 * sound.units.iter().map(|u| u.len() as u64).sum::<u64>();
-    let spoken = sound.units.len() as u64 * u64::from(aac::FRAME_SAMPLES);
+    let largest = sound.sizes.iter().copied().max().unwrap_or(0);
+    let bits = 8 * sound.sizes.iter().map(|&u| u64::from(u)).sum::<u64>();
+    let spoken = sound.sizes.len() as u64 * u64::from(aac::FRAME_SAMPLES);
     let average = (bits * u64::from(sound.rate_hz) / spoken.max(1)) as u32;
     let peak = 8 * largest * sound.rate_hz / aac::FRAME_SAMPLES;
     boxed(out, b"mp4a", |b| {
@@ -296,15 +316,8 @@ fn aac_entry(out: &mut Vec<u8>, sound: &Sound) {
 }
 
 /// Durations, sizes, chunks: where each sample is.
-fn sample_tables(
-    out: &mut Vec<u8>,
-    samples: &[Vec<u8>],
-    units: u32,
-    layout: &Layout,
-    track: Track,
-    first: u32,
-) {
-    let count = samples.len() as u32;
+fn sample_tables(out: &mut Vec<u8>, sizes: &[u32], units: u32, layout: &Layout, track: Track, first: u32) {
+    let count = sizes.len() as u32;
     full(out, b"stts", 0, 0, |b| u32s(b, &[1, count, units]));
     let chunks: Vec<&Chunk> = layout.chunks.iter().filter(|c| c.track == track).collect();
     // A run starts where the number of samples in a chunk changes.
@@ -321,9 +334,7 @@ fn sample_tables(
     });
     full(out, b"stsz", 0, 0, |b| {
         u32s(b, &[0, count]);
-        for sample in samples {
-            u32s(b, &[sample.len() as u32]);
-        }
+        u32s(b, sizes);
     });
     full(out, b"stco", 0, 0, |b| {
         u32s(b, &[chunks.len() as u32]);

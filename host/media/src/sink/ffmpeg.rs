@@ -4,9 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 
-use anyhow::{Context as _, Result, anyhow, bail};
-
-use super::{Film, Sink, aside, rename};
+use super::{Film, Sink, SinkError, aside, rename};
 use crate::sound;
 
 /// A film in whatever format `ffmpeg` makes of the ending of its name.
@@ -21,11 +19,15 @@ pub struct Ffmpeg {
 }
 
 impl Ffmpeg {
-    /// Starts `ffmpeg`; says what to do where it is missing.
-    pub fn new(path: &Path, film: &Film) -> Result<Self> {
+    /// Starts `ffmpeg`.
+    ///
+    /// # Errors
+    ///
+    /// That the name has no ending, its folder cannot be written in, or there is no `ffmpeg`: then what to do.
+    pub fn new(path: &Path, film: &Film) -> Result<Self, SinkError> {
         let ending = path
             .extension()
-            .ok_or_else(|| anyhow!("{} has no ending: write .mp4, .webm, .gif …", path.display()))?;
+            .ok_or_else(|| SinkError::NoEnding(path.to_owned()))?;
         let gif = ending.eq_ignore_ascii_case("gif");
         let aside = aside(path)?;
         let mut name = OsString::from("video.");
@@ -50,12 +52,7 @@ impl Ffmpeg {
             .arg(&unfinished)
             .stdin(Stdio::piped())
             .stderr(Stdio::piped());
-        let mut running = ffmpeg.spawn().map_err(|e| {
-            anyhow!(
-                "cannot run ffmpeg ({e}), which every format but .mp4 needs: install it (Debian: apt install ffmpeg) \
-                 or write .mp4"
-            )
-        })?;
+        let mut running = ffmpeg.spawn().map_err(SinkError::NoFfmpeg)?;
         Ok(Self {
             path: path.to_owned(),
             unfinished,
@@ -67,7 +64,7 @@ impl Ffmpeg {
 }
 
 impl Sink for Ffmpeg {
-    fn picture(&mut self, rgb: &[u8]) -> Result<()> {
+    fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
         // What ffmpeg did not like it says when it has ended.
         if self
             .stdin
@@ -80,29 +77,32 @@ impl Sink for Ffmpeg {
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>) -> Result<()> {
+    fn finish(mut self: Box<Self>) -> Result<(), SinkError> {
         self.stdin = None;
         self.end()?;
-        rename(&self.unfinished, &self.path)
+        Ok(rename(&self.unfinished, &self.path)?)
     }
 }
 
 impl Ffmpeg {
     /// Waits for ffmpeg's end, and says what went wrong.
-    fn end(&mut self) -> Result<()> {
+    fn end(&mut self) -> Result<(), SinkError> {
         use std::io::Read as _;
         let mut said = String::new();
         if let Some(mut stderr) = self.running.stderr.take() {
             // Words that cannot be read only make the error less talkative.
             let _ = stderr.read_to_string(&mut said);
         }
-        let status = self.running.wait().context("ffmpeg did not end")?;
+        let status = self.running.wait().map_err(SinkError::Endless)?;
         if !status.success() {
-            bail!(
-                "ffmpeg cannot write {}: {}",
-                self.path.display(),
-                said.lines().last().unwrap_or("it ended without a word")
-            );
+            return Err(SinkError::Ffmpeg {
+                path: self.path.clone(),
+                said: said
+                    .lines()
+                    .last()
+                    .unwrap_or("it ended without a word")
+                    .to_owned(),
+            });
         }
         Ok(())
     }

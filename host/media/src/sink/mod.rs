@@ -1,9 +1,13 @@
 //! Where pictures go: a video file, another program, a folder, a pipe. A sink knows nothing of what was drawn.
 //!
 //! To add one: a file here with its [`Sink`]. Pictures are handed over one by one and not kept. What a sink makes is whole or absent.
+use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result};
+use crate::Cause;
+use crate::encode::EncodeError;
+use crate::files::{FileError, aside_error, folder_of};
+use crate::sound::SoundError;
 
 mod ffmpeg;
 mod mp4;
@@ -14,6 +18,51 @@ pub use ffmpeg::Ffmpeg;
 pub use mp4::{Mp4, Mp4Bytes};
 pub use png::PngFrames;
 pub use raw::RawFrames;
+
+/// Why pictures did not get where they were to go.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SinkError {
+    /// The name does not say which format is wanted.
+    #[error("{} has no ending: write .mp4, .webm, .gif …", .0.display())]
+    NoEnding(PathBuf),
+    /// The program is missing or cannot be started.
+    #[error(
+        "cannot run ffmpeg ({0}), which every format but .mp4 needs: install it (Debian: apt install ffmpeg) or write .mp4"
+    )]
+    NoFfmpeg(io::Error),
+    /// ffmpeg cannot be waited for.
+    #[error("ffmpeg did not end")]
+    Endless(#[source] io::Error),
+    /// ffmpeg gave up; `said` is its last line.
+    #[error("ffmpeg cannot write {}: {said}", path.display())]
+    Ffmpeg { path: PathBuf, said: String },
+    /// There is a folder already, whose pictures would mix with the new ones.
+    #[error("{} exists: name a folder that does not", .0.display())]
+    Exists(PathBuf),
+    /// Picture `picture`, counted from 1, cannot be written.
+    #[error("cannot write picture {picture} of {}", folder.display())]
+    Picture {
+        picture: usize,
+        folder: PathBuf,
+        source: Cause,
+    },
+    /// The sides of a picture are larger than the format can say.
+    #[error("pictures of {width}×{height} are too large")]
+    Size { width: usize, height: usize },
+    /// The film cannot be encoded.
+    #[error(transparent)]
+    Encode(#[from] EncodeError),
+    /// The sound cannot be handed over.
+    #[error(transparent)]
+    Sound(#[from] SoundError),
+    /// A file cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The pipe or the file behind it says.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+}
 
 /// What every sink has to know before the first picture.
 #[derive(Clone, Copy, Debug)]
@@ -34,32 +83,28 @@ pub trait Sink {
     /// # Errors
     ///
     /// What the encoder, the file or the program behind it says.
-    fn picture(&mut self, rgb: &[u8]) -> Result<()>;
+    fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError>;
 
     /// All pictures have come: what was made gets its name.
     ///
     /// # Errors
     ///
     /// As [`Sink::picture`].
-    fn finish(self: Box<Self>) -> Result<()>;
+    fn finish(self: Box<Self>) -> Result<(), SinkError>;
 }
 
 /// A folder beside `path` for what is not whole yet; it is removed with everything in it unless it is renamed.
-fn aside(path: &Path) -> Result<tempfile::TempDir> {
-    let parent = match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    std::fs::create_dir_all(parent).with_context(|| format!("cannot make folder {}", parent.display()))?;
+fn aside(path: &Path) -> Result<tempfile::TempDir, FileError> {
+    let parent = folder_of(path)?;
     tempfile::Builder::new()
         .prefix(".lipstream-")
         .tempdir_in(parent)
-        .with_context(|| format!("cannot write in {}", parent.display()))
+        .map_err(aside_error(parent))
 }
 
 /// Gives what is whole its name.
-fn rename(from: &Path, to: &PathBuf) -> Result<()> {
-    std::fs::rename(from, to).with_context(|| format!("cannot write {}", to.display()))
+fn rename(from: &Path, to: &Path) -> Result<(), FileError> {
+    std::fs::rename(from, to).map_err(|e| FileError::write(to, e))
 }
 
 #[cfg(test)]
@@ -123,5 +168,50 @@ mod tests {
             drop(sink);
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
         }
+    }
+
+    #[test]
+    fn a_film_in_a_file_is_the_film_in_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("made/film.mp4");
+        // Longer than the pictures, and than one piece of what is encoded at a time.
+        let sound: Vec<i16> = (0..40_000).map(|i| (i * 37 % 5000) as i16).collect();
+        let film = Film {
+            sound: Some(&sound),
+            ..film()
+        };
+        let mut file: Box<dyn Sink> = Box::new(Mp4::new(&path, &film).unwrap());
+        let mut memory = Mp4Bytes::new(&film).unwrap();
+        for level in 0..40 {
+            file.picture(&[5 * level; 768]).unwrap();
+            memory.picture(&[5 * level; 768]).unwrap();
+        }
+        file.finish().unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), memory.bytes().unwrap());
+        // Nothing is left beside it.
+        assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn an_error_is_its_part_and_its_cause() {
+        let path = Path::new("no/such/file");
+        let error = crate::sound::read(path).unwrap_err();
+        assert!(
+            matches!(error, SoundError::File(FileError::Read { .. })),
+            "{error:?}"
+        );
+        let line = format!("{:#}", anyhow::Error::from(error));
+        assert!(line.starts_with("cannot read no/such/file: "), "{line}");
+        // Each part once.
+        assert_eq!(line.matches("no/such/file").count(), 1, "{line}");
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        let nothing: Box<dyn Sink> = Box::new(Mp4::new(&path, &film()).unwrap());
+        let line = format!("{:#}", anyhow::Error::from(nothing.finish().unwrap_err()));
+        assert_eq!(
+            line,
+            format!("cannot write {}: there is no picture to encode", path.display())
+        );
     }
 }

@@ -1,66 +1,136 @@
 //! MP4 with H.264 and AAC, without any program but this one.
+//!
+//! The header comes first and says where each picture lies, so nothing can be written before the last picture is encoded. Until then
+//! the encoded film waits in two spools, one a track: unnamed files for [`Mp4`], memory for [`Mp4Bytes`].
+use std::fs::File;
+use std::io::{BufReader, Cursor, Read, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
 use lipstream_core::SAMPLE_RATE_HZ;
 
-use super::{Film, Sink};
+use super::{Film, Sink, SinkError};
 use crate::encode::{aac, colour, h264, mp4};
-use crate::files;
+use crate::files::{self, aside_error, folder_of};
 
-/// A film in memory: for a page that carries it. Grows by what the encoded film takes, not by its pictures.
-pub struct Mp4Bytes {
+/// A film whose encoded tracks wait in spools.
+struct Spooled<S> {
     encoder: h264::VideoEncoder,
-    sound: Option<aac::Sound>,
+    pictures: S,
+    sound: Option<(aac::Sound, S)>,
     width: usize,
     height: usize,
 }
 
-impl Mp4Bytes {
-    pub fn new(film: &Film) -> Result<Self> {
+impl<S: Read + Write + Seek> Spooled<S> {
+    fn new(film: &Film, mut spool: impl FnMut() -> Result<S, SinkError>) -> Result<Self, SinkError> {
+        let encoder = h264::VideoEncoder::new(film.width, film.height, film.fps)?;
+        let sound = match film.sound {
+            Some(samples) if !samples.is_empty() => {
+                let mut units = spool()?;
+                Some((aac::encode(samples, SAMPLE_RATE_HZ, &mut units)?, units))
+            }
+            _ => None,
+        };
         Ok(Self {
-            encoder: h264::VideoEncoder::new(film.width, film.height, film.fps)?,
-            sound: match film.sound {
-                Some(samples) if !samples.is_empty() => Some(aac::encode(samples, SAMPLE_RATE_HZ)?),
-                _ => None,
-            },
+            encoder,
+            pictures: spool()?,
+            sound,
             width: film.width,
             height: film.height,
         })
     }
 
+    fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
+        let sample = self
+            .encoder
+            .push(colour::from_rgb(rgb, self.width, self.height))?;
+        Ok(self.pictures.write_all(&sample)?)
+    }
+
+    /// Writes the file.
+    fn write(self, out: &mut dyn Write) -> Result<(), SinkError> {
+        let video = self.encoder.finish()?;
+        let from_start = |mut spool: S| -> Result<BufReader<S>, SinkError> {
+            spool.rewind()?;
+            Ok(BufReader::new(spool))
+        };
+        let mut pictures = from_start(self.pictures)?;
+        match self.sound {
+            Some((sound, units)) => {
+                let mut units = from_start(units)?;
+                mp4::write(out, &video, &mut pictures, Some((&sound, &mut units)))?;
+            }
+            None => mp4::write(out, &video, &mut pictures, None)?,
+        }
+        Ok(())
+    }
+}
+
+/// A film in memory: for a page that carries it. Grows by what the encoded film takes, not by its pictures.
+pub struct Mp4Bytes(Spooled<Cursor<Vec<u8>>>);
+
+impl Mp4Bytes {
+    /// Encodes the film's sound and waits for its pictures.
+    ///
+    /// # Errors
+    ///
+    /// That an encoder refuses the film's size, rate or sound.
+    pub fn new(film: &Film) -> Result<Self, SinkError> {
+        Ok(Self(Spooled::new(film, || Ok(Cursor::default()))?))
+    }
+
     /// The next picture, see [`Sink::picture`].
-    pub fn picture(&mut self, rgb: &[u8]) -> Result<()> {
-        self.encoder.push(colour::from_rgb(rgb, self.width, self.height))
+    ///
+    /// # Errors
+    ///
+    /// As [`Sink::picture`].
+    pub fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
+        self.0.picture(rgb)
     }
 
     /// The file's bytes.
-    pub fn bytes(self) -> Result<Vec<u8>> {
-        mp4::write(&self.encoder.finish()?, self.sound.as_ref())
+    ///
+    /// # Errors
+    ///
+    /// That there was no picture, or too many for an MP4 file of this kind.
+    pub fn bytes(self) -> Result<Vec<u8>, SinkError> {
+        let mut out = Vec::new();
+        self.0.write(&mut out)?;
+        Ok(out)
     }
 }
 
-/// A film in a file, which appears when it is whole.
+/// A film in a file, which appears when it is whole. Memory grows by 5 bytes a picture: what the header says of it.
 pub struct Mp4 {
     path: PathBuf,
-    film: Mp4Bytes,
+    film: Spooled<File>,
 }
 
 impl Mp4 {
-    pub fn new(path: &Path, film: &Film) -> Result<Self> {
+    /// Encodes the film's sound into a spool in the folder of `path`, which is made if it is missing.
+    ///
+    /// # Errors
+    ///
+    /// That the folder cannot be written in, or an encoder refuses the film's size, rate or sound.
+    pub fn new(path: &Path, film: &Film) -> Result<Self, SinkError> {
+        // The spools lie where the film will: a folder for temporary files may be memory. They have no name, so nothing is left of
+        // them however this program ends.
+        let folder = folder_of(path)?;
+        let spool = || Ok(tempfile::tempfile_in(folder).map_err(aside_error(folder))?);
         Ok(Self {
             path: path.to_owned(),
-            film: Mp4Bytes::new(film)?,
+            film: Spooled::new(film, spool)?,
         })
     }
 }
 
 impl Sink for Mp4 {
-    fn picture(&mut self, rgb: &[u8]) -> Result<()> {
+    fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
         self.film.picture(rgb)
     }
 
-    fn finish(self: Box<Self>) -> Result<()> {
-        files::write_bytes(&self.path, &self.film.bytes()?)
+    fn finish(self: Box<Self>) -> Result<(), SinkError> {
+        let Self { path, film } = *self;
+        Ok(files::write_whole(&path, |out| film.write(out))?)
     }
 }

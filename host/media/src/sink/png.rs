@@ -3,9 +3,8 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result, bail};
-
-use super::{Film, Sink, aside, rename};
+use super::{Film, Sink, SinkError, aside, rename};
+use crate::files::FileError;
 
 /// `000001.png` and so on, in a folder that appears when all are there.
 pub struct PngFrames {
@@ -18,42 +17,53 @@ pub struct PngFrames {
 
 impl PngFrames {
     /// Refuses a folder that exists: its pictures would mix with these.
-    pub fn new(folder: &Path, film: &Film) -> Result<Self> {
+    pub fn new(folder: &Path, film: &Film) -> Result<Self, SinkError> {
         if folder.exists() {
-            bail!("{} exists: name a folder that does not", folder.display());
+            return Err(SinkError::Exists(folder.to_owned()));
         }
+        let side = |side: usize| {
+            u32::try_from(side).map_err(|_| SinkError::Size {
+                width: film.width,
+                height: film.height,
+            })
+        };
         Ok(Self {
             folder: folder.to_owned(),
             aside: aside(folder)?,
-            width: u32::try_from(film.width)?,
-            height: u32::try_from(film.height)?,
+            width: side(film.width)?,
+            height: side(film.height)?,
             count: 0,
         })
     }
 }
 
 impl Sink for PngFrames {
-    fn picture(&mut self, rgb: &[u8]) -> Result<()> {
+    fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
         self.count += 1;
         let path = self.aside.path().join(format!("{:06}.png", self.count));
-        let write = || -> Result<()> {
+        let write = || -> Result<(), png::EncodingError> {
             let mut encoder =
                 png::Encoder::new(BufWriter::new(File::create(&path)?), self.width, self.height);
             encoder.set_color(png::ColorType::Rgb);
             encoder.set_depth(png::BitDepth::Eight);
             let mut writer = encoder.write_header()?;
             writer.write_image_data(rgb)?;
-            Ok(writer.finish()?)
+            writer.finish()
         };
-        write().with_context(|| format!("cannot write picture {} of {}", self.count, self.folder.display()))
+        write().map_err(|e| SinkError::Picture {
+            picture: self.count,
+            folder: self.folder.clone(),
+            source: e.into(),
+        })
     }
 
-    fn finish(self: Box<Self>) -> Result<()> {
+    fn finish(self: Box<Self>) -> Result<(), SinkError> {
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt as _;
-            std::fs::set_permissions(self.aside.path(), std::fs::Permissions::from_mode(0o755))?;
+            std::fs::set_permissions(self.aside.path(), std::fs::Permissions::from_mode(0o755))
+                .map_err(|e| FileError::write(&self.folder, e))?;
         }
-        rename(&self.aside.keep(), &self.folder)
+        Ok(rename(&self.aside.keep(), &self.folder)?)
     }
 }

@@ -1,12 +1,11 @@
 //! FLAC through claxon, which checks every frame's CRC.
-use anyhow::{Context, Result, bail};
 use claxon::{Block, FlacReader};
 
-use super::Decoded;
+use super::{Decoded, Result, damaged, library};
 
 /// Decodes a whole FLAC file.
 pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
-    let mut reader = FlacReader::new(bytes).context("damaged FLAC header")?;
+    let mut reader = FlacReader::new(bytes).map_err(library("damaged FLAC header"))?;
     let info = reader.streaminfo();
     let channels = info.channels as usize;
     let scale = 2f64.powi(1 - info.bits_per_sample as i32) / channels as f64;
@@ -15,24 +14,24 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
     let mut block = Block::empty();
     loop {
         let next = frames.read_next_or_eof(block.into_buffer());
-        let Some(read) = next.with_context(|| {
-            format!(
+        let Some(read) = next.map_err(|e| {
+            library(format!(
                 "damaged or cut short after {} samples{}",
                 samples.len(),
                 of(info.samples)
-            )
+            ))(e)
         })?
         else {
             break;
         };
         block = read;
         if block.channels() as usize != channels {
-            bail!(
+            return damaged(format!(
                 "{} channels turn into {} after {} samples",
                 channels,
                 block.channels(),
                 samples.len()
-            );
+            ));
         }
         samples.extend((0..block.duration()).map(|n| {
             let sum: f64 = (0..info.channels).map(|c| f64::from(block.sample(c, n))).sum();
@@ -43,11 +42,11 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
         .samples
         .is_some_and(|promised| promised != samples.len() as u64)
     {
-        bail!(
+        return damaged(format!(
             "the FLAC header promises{} samples, the file has {}: it is cut short, or the header lies",
             of(info.samples).trim_start_matches(" of"),
             samples.len()
-        );
+        ));
     }
     Ok(Decoded {
         samples,

@@ -6,9 +6,7 @@
 //! Channels are averaged; other rates are resampled (rubato's synchronous FFT resampler, which trims its own
 //! delay, so that time 0 stays time 0). A 16 kHz mono 16-bit file passes unchanged, bit for bit.
 use std::io::Read;
-use std::path::Path;
-
-use anyhow::{Context, Result, bail};
+use std::path::{Path, PathBuf};
 
 mod flac;
 mod mp3;
@@ -16,7 +14,60 @@ mod ogg;
 mod resample;
 mod wav;
 
-use crate::files;
+use crate::Cause;
+use crate::files::{self, FileError};
+
+/// Why a sound was not read or not written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SoundError {
+    /// The file that holds the sound: `source` says what is wrong with it.
+    #[error("cannot read {} as sound", path.display())]
+    In { path: PathBuf, source: Box<SoundError> },
+    /// The file cannot be read or written at all.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// There is not a byte.
+    #[error("the file is empty")]
+    Empty,
+    /// It begins like no file that is read here.
+    #[error("not a WAV, FLAC, MP3 or Ogg Vorbis file (convert it with `ffmpeg -i FILE out.wav`)")]
+    Unknown,
+    /// It is of a kind that is read here, and holds what is not.
+    #[error("{0}")]
+    Unsupported(String),
+    /// Its rate is none that is read.
+    #[error("its rate is {rate_hz} Hz; from {} to {} Hz can be read", RATES_HZ.start(), RATES_HZ.end())]
+    Rate { rate_hz: u32 },
+    /// It is whole, and there is no sound in it.
+    #[error("it holds no samples")]
+    NoSamples,
+    /// It is cut short, damaged or contradicts itself.
+    #[error("{0}")]
+    Damaged(String),
+    /// A decoder or the resampler refuses it: what it was doing, and in its own words why.
+    #[error("{what}")]
+    Library { what: String, source: Cause },
+    /// The WAV reader or writer refuses it, in its own words.
+    #[error(transparent)]
+    Wav(#[from] hound::Error),
+}
+
+/// What every decoder here returns.
+type Result<T, E = SoundError> = std::result::Result<T, E>;
+
+/// An error for a file that is cut short, damaged or contradicts itself.
+fn damaged<T>(what: impl Into<String>) -> Result<T> {
+    Err(SoundError::Damaged(what.into()))
+}
+
+/// Says what a library was doing when it refused.
+fn library<E: Into<Cause>>(what: impl Into<String>) -> impl FnOnce(E) -> SoundError {
+    |source| SoundError::Library {
+        what: what.into(),
+        source: source.into(),
+    }
+}
 
 /// Rates that are read. 8-48 kHz is what speech comes in; studio files go up to four times that.
 const RATES_HZ: std::ops::RangeInclusive<u32> = 8_000..=192_000;
@@ -49,7 +100,10 @@ struct Decoded {
 /// Reads a sound file. The error is one line that names the file, what is wrong, and what to do.
 pub fn read(path: &Path) -> Result<Sound> {
     let bytes = files::read_bytes(path)?;
-    decode(&bytes).with_context(|| format!("cannot read {} as sound", path.display()))
+    decode(&bytes).map_err(|source| SoundError::In {
+        path: path.to_owned(),
+        source: Box::new(source),
+    })
 }
 
 /// A kind of file, after its first bytes.
@@ -89,25 +143,22 @@ pub fn knows(path: &Path) -> bool {
 /// [`read`] for a file that is in memory already.
 pub fn decode(bytes: &[u8]) -> Result<Sound> {
     if bytes.is_empty() {
-        bail!("the file is empty");
+        return Err(SoundError::Empty);
     }
     let decoded = match Kind::of(bytes) {
         Some(Kind::Wav) => wav::decode(bytes)?,
         Some(Kind::Flac) => flac::decode(bytes)?,
         Some(Kind::Ogg) => ogg::decode(bytes)?,
         Some(Kind::Mp3) => mp3::decode(bytes)?,
-        None => bail!("not a WAV, FLAC, MP3 or Ogg Vorbis file (convert it with `ffmpeg -i FILE out.wav`)"),
+        None => return Err(SoundError::Unknown),
     };
     if !RATES_HZ.contains(&decoded.rate_hz) {
-        bail!(
-            "its rate is {} Hz; from {} to {} Hz can be read",
-            decoded.rate_hz,
-            RATES_HZ.start(),
-            RATES_HZ.end()
-        );
+        return Err(SoundError::Rate {
+            rate_hz: decoded.rate_hz,
+        });
     }
     if decoded.samples.is_empty() {
-        bail!("it holds no samples");
+        return Err(SoundError::NoSamples);
     }
     let at_16_khz = resample::to_16_khz(decoded.samples, decoded.rate_hz)?;
     Ok(Sound {
@@ -144,7 +195,7 @@ pub fn write(path: &Path, samples: &[i16]) -> Result<()> {
         writer.write_sample(*sample)?;
     }
     writer.finalize()?;
-    files::write_bytes(path, bytes.get_ref())
+    Ok(files::write_bytes(path, bytes.get_ref())?)
 }
 
 #[cfg(test)]

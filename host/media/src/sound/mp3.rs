@@ -2,10 +2,9 @@
 //!
 //! The delay of encoder and decoder is taken off where the file states it (the LAME tag), so that time 0 stays time 0.
 //! Frames must follow each other without gaps; tags at both ends and zeros in between are passed over.
-use anyhow::{Context, Result, bail};
 use nanomp3::{Decoder, Frame, MAX_SAMPLES_PER_FRAME, VbrTag, frames, id3v2_len, strip_trailing_tags};
 
-use super::{Decoded, mix_down};
+use super::{Decoded, Result, SoundError, damaged, library, mix_down};
 
 /// Samples by which this decoder is late.
 const DECODER_DELAY: usize = 529;
@@ -18,7 +17,8 @@ pub(super) fn detect(bytes: &[u8]) -> bool {
 /// Decodes a whole MP3 file.
 pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
     let mut found = all_frames(bytes)?;
-    let first = *found.first().context("it holds no MP3 frames")?;
+    let no_frames = || SoundError::Damaged("it holds no MP3 frames".to_owned());
+    let first = *found.first().ok_or_else(no_frames)?;
     let tag = VbrTag::parse(first.data);
     if let Some(tag) = &tag {
         found.remove(0);
@@ -26,11 +26,11 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
             .frames
             .is_some_and(|promised| promised as usize != found.len())
         {
-            bail!(
+            return damaged(format!(
                 "the MP3 header promises {} frames, the file has {}: it is cut short, or the header lies",
                 tag.frames.unwrap_or(0),
                 found.len()
-            );
+            ));
         }
     }
     let channels = usize::from(first.channels.num());
@@ -39,10 +39,18 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
     let mut samples = Vec::new();
     for frame in &found {
         if (frame.sample_rate, frame.channels) != (first.sample_rate, first.channels) {
-            bail!("rate or number of channels changes at byte {}", frame.offset);
+            return damaged(format!(
+                "rate or number of channels changes at byte {}",
+                frame.offset
+            ));
         }
         let (_, result) = decoder.decode(frame.data, &mut buffer);
-        result.with_context(|| format!("the MP3 frame at byte {} cannot be decoded", frame.offset))?;
+        result.map_err(|e| {
+            library(format!(
+                "the MP3 frame at byte {} cannot be decoded",
+                frame.offset
+            ))(e)
+        })?;
         let interleaved: Vec<f64> = buffer[..frame.samples * channels]
             .iter()
             .map(|&s| f64::from(s))
@@ -68,29 +76,29 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
 fn all_frames(bytes: &[u8]) -> Result<Vec<Frame<'_>>> {
     let mut end = id3v2_len(bytes);
     if end > bytes.len() {
-        bail!(
+        return damaged(format!(
             "its ID3 tag promises {end} bytes, the file has {}: it is cut short",
             bytes.len()
-        );
+        ));
     }
     let mut found = Vec::new();
     let gap = |from: usize, to: usize| bytes[from..to].iter().any(|&byte| byte != 0);
     for frame in frames(bytes) {
         if gap(end, frame.offset) {
-            bail!(
+            return damaged(format!(
                 "{} bytes at byte {end} are no MP3 frame: the file is damaged",
                 frame.offset - end
-            );
+            ));
         }
         end = frame.offset + frame.data.len();
         found.push(frame);
     }
     let last = bytes.len() - bytes[end..].len() + strip_trailing_tags(&bytes[end..]).len();
     if gap(end, last) {
-        bail!(
+        return damaged(format!(
             "the {} bytes at byte {end} are no whole MP3 frame: the file is cut short or damaged",
             last - end
-        );
+        ));
     }
     Ok(found)
 }

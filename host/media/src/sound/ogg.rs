@@ -1,11 +1,10 @@
 //! Ogg Vorbis through lewton; the pages' CRCs are checked by its Ogg reader.
 use std::io::Cursor;
 
-use anyhow::{Context, Result, bail};
 use lewton::inside_ogg::OggStreamReader;
 use lewton::samples::InterleavedSamples;
 
-use super::{Decoded, mix_down};
+use super::{Decoded, Result, SoundError, damaged, library, mix_down};
 
 /// Bytes of a page before its segment table.
 const PAGE_HEADER: usize = 27;
@@ -21,7 +20,9 @@ fn check_pages(bytes: &[u8]) -> Result<()> {
     while at < bytes.len() {
         let page = &bytes[at..];
         if !page.starts_with(b"OggS") && !b"OggS".starts_with(page) {
-            bail!("garbage at byte {at}, where a page of the Ogg file should begin");
+            return damaged(format!(
+                "garbage at byte {at}, where a page of the Ogg file should begin"
+            ));
         }
         let length = page.get(26).and_then(|&segments| {
             let table = page.get(PAGE_HEADER..PAGE_HEADER + usize::from(segments))?;
@@ -32,11 +33,11 @@ fn check_pages(bytes: &[u8]) -> Result<()> {
                 at += length;
                 flags = page[5];
             }
-            _ => bail!("the Ogg page at byte {at} is cut short"),
+            _ => return damaged(format!("the Ogg page at byte {at} is cut short")),
         }
     }
     if flags & LAST == 0 {
-        bail!("the Ogg file ends without its last page: it is cut short");
+        return damaged("the Ogg file ends without its last page: it is cut short");
     }
     Ok(())
 }
@@ -58,11 +59,13 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
     match codec(bytes) {
         VORBIS => {}
         other => {
-            bail!("an Ogg file that holds {other}, not Vorbis (convert it with `ffmpeg -i FILE out.wav`)")
+            return Err(SoundError::Unsupported(format!(
+                "an Ogg file that holds {other}, not Vorbis (convert it with `ffmpeg -i FILE out.wav`)"
+            )));
         }
     }
     check_pages(bytes)?;
-    let mut reader = OggStreamReader::new(Cursor::new(bytes)).context("damaged Vorbis header")?;
+    let mut reader = OggStreamReader::new(Cursor::new(bytes)).map_err(library("damaged Vorbis header"))?;
     let (rate_hz, channels) = (
         reader.ident_hdr.audio_sample_rate,
         reader.ident_hdr.audio_channels,
@@ -71,10 +74,10 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
     let mut samples = Vec::new();
     while let Some(packet) = reader
         .read_dec_packet_generic::<InterleavedSamples<f32>>()
-        .with_context(|| format!("damaged after {} samples", samples.len()))?
+        .map_err(|e| library(format!("damaged after {} samples", samples.len()))(e))?
     {
         if reader.stream_serial() != serial {
-            bail!("a second stream begins after {} samples", samples.len());
+            return damaged(format!("a second stream begins after {} samples", samples.len()));
         }
         let interleaved: Vec<f64> = packet.samples.iter().map(|&s| f64::from(s)).collect();
         samples.extend(mix_down(&interleaved, usize::from(channels)));

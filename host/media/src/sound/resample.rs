@@ -1,7 +1,8 @@
 //! Any rate to 16 kHz.
-use anyhow::{Context, Result};
 use audioadapter_buffers::owned::InterleavedOwned;
 use rubato::{Fft, FixedSync, Resampler};
+
+use super::{Result, library};
 
 /// Least number of input samples that the resampler takes at a time.
 const LEAST_CHUNK: usize = 1024;
@@ -23,7 +24,7 @@ pub(super) fn to_16_khz(samples: Vec<f64>, rate_hz: u32) -> Result<Vec<f64>> {
         return Ok(samples);
     }
     let length = samples.len();
-    let input = InterleavedOwned::new_from(samples, 1, length).context("cannot resample")?;
+    let input = InterleavedOwned::new_from(samples, 1, length).map_err(library("cannot resample"))?;
     let mut resampler = Fft::<f64>::new(
         rate_hz as usize,
         lipstream_core::SAMPLE_RATE_HZ as usize,
@@ -31,9 +32,9 @@ pub(super) fn to_16_khz(samples: Vec<f64>, rate_hz: u32) -> Result<Vec<f64>> {
         1,
         FixedSync::Both,
     )
-    .with_context(|| format!("cannot resample {rate_hz} Hz"))?;
+    .map_err(library(format!("cannot resample {rate_hz} Hz")))?;
     let output = resampler
         .process_all(&input, length, None)
-        .with_context(|| format!("cannot resample {rate_hz} Hz"))?;
+        .map_err(library(format!("cannot resample {rate_hz} Hz")))?;
     Ok(output.take_data())
 }

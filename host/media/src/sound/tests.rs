@@ -28,7 +28,7 @@ fn wav<S: hound::Sample + Copy>(
 }
 
 fn error_of(bytes: &[u8]) -> String {
-    let error = format!("{:#}", decode(bytes).unwrap_err());
+    let error = format!("{:#}", anyhow::Error::from(decode(bytes).unwrap_err()));
     assert!(!error.contains('\n'), "one line, not: {error}");
     error
 }

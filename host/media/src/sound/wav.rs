@@ -4,10 +4,9 @@
 //! belong to no chunk. Chunks besides `fmt ` and `data` (LIST, bext, id3, …) are passed over. Samples are decoded by hound.
 use std::io::{Cursor, Read};
 
-use anyhow::{Context, Result, bail};
 use hound::{SampleFormat, WavReader};
 
-use super::{Decoded, mix_down};
+use super::{Decoded, Result, SoundError, damaged, library, mix_down};
 
 /// What of a WAV file matters.
 struct Parts<'a> {
@@ -18,42 +17,50 @@ struct Parts<'a> {
 /// Walks the chunks of a RIFF file from end to end.
 fn parts(bytes: &[u8]) -> Result<Parts<'_>> {
     let Some((header, mut rest)) = bytes.split_at_checked(12) else {
-        bail!("damaged WAV header: {} bytes are too few for one", bytes.len());
+        return damaged(format!(
+            "damaged WAV header: {} bytes are too few for one",
+            bytes.len()
+        ));
     };
     if &header[8..12] != b"WAVE" {
-        bail!("a RIFF file, but not WAV");
+        return Err(SoundError::Unsupported("a RIFF file, but not WAV".to_owned()));
     }
     let promised = 8 + u64::from(little_endian(&header[4..8]));
     let length = bytes.len() as u64;
     if promised > length {
-        bail!(
+        return damaged(format!(
             "the WAV header promises {promised} bytes, the file has {length}: it is cut short, or the header lies"
-        );
+        ));
     }
     // One byte more pads a last chunk of odd length whose writer forgot to count it.
     if promised + u64::from(promised % 2 == 1) < length {
-        bail!(
+        return damaged(format!(
             "the WAV header says that the file ends at byte {promised}, but {} more bytes follow",
             length - promised
-        );
+        ));
     }
     let (mut format, mut data) = (None, None);
     while !rest.is_empty() {
         let at = bytes.len() - rest.len();
         let Some((head, body)) = rest.split_at_checked(8) else {
-            bail!("{} stray bytes at byte {at}, after the last chunk", rest.len());
+            return damaged(format!(
+                "{} stray bytes at byte {at}, after the last chunk",
+                rest.len()
+            ));
         };
         let (name, size) = (&head[..4], little_endian(&head[4..]) as usize);
         if !name.iter().all(|c| (b' '..=b'~').contains(c)) {
-            bail!("garbage at byte {at}, where a chunk of the WAV file should begin");
+            return damaged(format!(
+                "garbage at byte {at}, where a chunk of the WAV file should begin"
+            ));
         }
         let Some((body, after)) = body.split_at_checked(size) else {
-            bail!(
+            return damaged(format!(
                 "the header of chunk '{}' at byte {at} promises {size} bytes, {} follow: the file is cut short, \
                  or the header lies",
                 name.escape_ascii(),
                 body.len()
-            );
+            ));
         };
         let slot = match name {
             b"fmt " => &mut format,
@@ -61,14 +68,15 @@ fn parts(bytes: &[u8]) -> Result<Parts<'_>> {
             _ => &mut None,
         };
         if slot.replace(body).is_some() {
-            bail!("a second chunk '{}' at byte {at}", name.escape_ascii());
+            return damaged(format!("a second chunk '{}' at byte {at}", name.escape_ascii()));
         }
         // Chunks begin at even places.
         rest = after.get(size % 2..).unwrap_or_default();
     }
+    let without = |name| SoundError::Damaged(format!("damaged WAV file: it has no chunk '{name}'"));
     Ok(Parts {
-        format: format.context("damaged WAV file: it has no chunk 'fmt '")?,
-        data: data.context("damaged WAV file: it has no chunk 'data'")?,
+        format: format.ok_or_else(|| without("fmt "))?,
+        data: data.ok_or_else(|| without("data"))?,
     })
 }
 
@@ -87,14 +95,15 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
         format = format.get(..16).unwrap_or(format);
     }
     if data.is_empty() {
-        bail!("it holds no samples");
+        return Err(SoundError::NoSamples);
     }
     let mut header = b"RIFF\0\0\0\0WAVEfmt ".to_vec();
     header.extend((format.len() as u32).to_le_bytes());
     header.extend(format);
     header.extend(b"data");
     header.extend((data.len() as u32).to_le_bytes());
-    let reader = WavReader::new(Cursor::new(header).chain(data)).context("damaged or unusual WAV header")?;
+    let reader =
+        WavReader::new(Cursor::new(header).chain(data)).map_err(library("damaged or unusual WAV header"))?;
     let spec = reader.spec();
     let interleaved: Vec<f64> = match spec.sample_format {
         SampleFormat::Int => {
@@ -109,7 +118,7 @@ pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
             .enumerate()
             .map(|(i, s)| match s? {
                 s if s.is_finite() => Ok(f64::from(s)),
-                _ => bail!("sample {i} is not a finite number"),
+                _ => damaged(format!("sample {i} is not a finite number")),
             })
             .collect(),
     }?;

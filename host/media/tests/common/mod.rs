@@ -5,7 +5,7 @@ use lipstream_media::sound;
 pub(crate) fn refused(name: &str, bytes: &[u8]) -> String {
     let error = match sound::decode(bytes) {
         Ok(sound) => panic!("{name}: read as {} samples", sound.samples.len()),
-        Err(error) => format!("{error:#}"),
+        Err(error) => format!("{:#}", anyhow::Error::from(error)),
     };
     assert!(!error.contains('\n') && error.len() > 10, "{name}: {error:?}");
     error

@@ -232,7 +232,7 @@ pub fn to_mp4(
     let mut scene = Painter::new(space, settings)?;
     let film = film(&scene, settings, sound);
     let mut mp4 = Mp4Bytes::new(&film)?;
-    let pictures = play(&mut scene, tracks, &film, |rgb| mp4.picture(rgb), progress)?;
+    let pictures = play(&mut scene, tracks, &film, |rgb| Ok(mp4.picture(rgb)?), progress)?;
     Ok(Rendered {
         mp4: mp4.bytes()?,
         width: film.width,

@@ -262,7 +262,7 @@ fn other_formats_need_ffmpeg_and_say_so() {
             &mut scene,
             tracks.view(),
             &film,
-            |rgb| sink.picture(rgb),
+            |rgb| Ok(sink.picture(rgb)?),
             |_, _| {},
         )?;
         sink.finish()?;
