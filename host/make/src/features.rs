@@ -28,6 +28,7 @@ pub const MANIFEST_VERSION: u32 = 1;
 /// What is in a feature folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Manifest {
+    /// Version of the folder's layout, [`MANIFEST_VERSION`].
     pub version: u32,
     /// Folder that was prepared, as the user gave it.
     pub corpus: String,
@@ -35,6 +36,7 @@ pub struct Manifest {
     pub start_mean: Vec<f32>,
     /// Numbers in a visual frame; 0 in an audio-only folder.
     pub visual_size: usize,
+    /// The clips of all splits.
     pub clips: Vec<Clip>,
     /// Clips that could not be read, with the reason.
     pub skipped: Vec<Skipped>,
@@ -45,8 +47,11 @@ pub struct Manifest {
 pub struct Clip {
     /// Unique in the folder; the stem of the files that belong to it.
     pub id: String,
+    /// Who speaks.
     pub speaker: String,
+    /// What the clip is for.
     pub split: Split,
+    /// Frames of `audio/ID.npy`, 100 a second.
     pub audio_frames: usize,
     /// 0 for a clip without video.
     pub video_frames: usize,
@@ -62,6 +67,7 @@ pub struct Clip {
 /// One word and its pronunciations, in phones of X&L table 1.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Word {
+    /// The word as it is spelt.
     pub text: String,
     /// Alternatives, the most usual first; never empty, never an empty list inside.
     pub pronunciations: Vec<Vec<String>>,
@@ -78,8 +84,11 @@ impl lipstream::hmm::network::Pronounced for Word {
 /// A phone with its start and end in seconds.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PhoneLabel {
+    /// Name of the phone.
     pub phone: String,
+    /// Where it begins, in seconds.
     pub start: f32,
+    /// Where it ends, in seconds.
     pub end: f32,
 }
 
@@ -87,14 +96,19 @@ pub struct PhoneLabel {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Split {
+    /// Models are fitted to these clips.
     Train,
+    /// Choices between models and settings are made on these clips.
     Val,
+    /// Finished models are measured on these clips.
     Test,
 }
 
 impl Split {
+    /// The three splits in their usual order.
     pub const ALL: [Split; 3] = [Split::Train, Split::Val, Split::Test];
 
+    /// The name that manifests and options use, in lower case.
     pub fn name(self) -> &'static str {
         match self {
             Split::Train => "train",
@@ -115,18 +129,23 @@ impl Split {
 /// A clip that could not be prepared.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Skipped {
+    /// Path of the sound or video file that it was read from.
     pub path: String,
+    /// Why it could not be prepared, in words.
     pub reason: String,
 }
 
 /// A feature folder with its manifest read.
 #[derive(Clone, Debug)]
 pub struct FeatureFolder {
+    /// Path of the folder.
     pub root: PathBuf,
+    /// What is in the folder.
     pub manifest: Manifest,
 }
 
 impl FeatureFolder {
+    /// Reads and checks the manifest. An error when there is none, or it is damaged or of another version.
     pub fn open(root: &Path) -> Result<Self> {
         let path = root.join("manifest.json");
         let bytes = files::read_bytes(&path).with_context(|| {
@@ -165,22 +184,27 @@ impl FeatureFolder {
         self.manifest.clips.iter().filter(move |c| c.split == split)
     }
 
+    /// File of a clip's audio observations.
     pub fn audio_path(&self, id: &str) -> PathBuf {
         self.root.join("audio").join(format!("{id}.npy"))
     }
 
+    /// File of a clip's eigenmouth weights.
     pub fn visual_path(&self, id: &str) -> PathBuf {
         self.root.join("visual").join(format!("{id}.npy"))
     }
 
+    /// File of a clip's sound.
     pub fn wav_path(&self, id: &str) -> PathBuf {
         self.root.join("wav").join(format!("{id}.wav"))
     }
 
+    /// File of a clip's mouth images.
     pub fn mouths_path(&self, id: &str) -> PathBuf {
         self.root.join("mouths").join(format!("{id}.npy"))
     }
 
+    /// File of the eigenmouth space, which an audio-only folder lacks.
     pub fn mouth_path(&self) -> PathBuf {
         self.root.join("mouth.safetensors")
     }

@@ -20,6 +20,7 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// The name that reports use, in lower case.
     pub fn name(self) -> &'static str {
         match self {
             Kind::White => "white",

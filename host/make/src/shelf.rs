@@ -38,14 +38,17 @@ impl Shelf {
         Ok(Self { place, ends })
     }
 
+    /// Number of rows.
     pub fn len(&self) -> usize {
         self.ends.len()
     }
 
+    /// Whether there is no row.
     pub fn is_empty(&self) -> bool {
         self.ends.is_empty()
     }
 
+    /// Puts a row at the end. An error when the file cannot be written.
     pub fn push(&mut self, row: Vec<f32>) -> Result<()> {
         let end = self.ends.last().copied().unwrap_or(0);
         self.ends.push(end + row.len() as u64);
@@ -61,6 +64,7 @@ impl Shelf {
         Ok(())
     }
 
+    /// Reads row `index`; panics where there is none. An error when the file cannot be read.
     pub fn get(&self, index: usize) -> Result<Vec<f32>> {
         let file = match &self.place {
             Place::Memory(rows) => return Ok(rows[index].clone()),

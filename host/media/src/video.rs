@@ -64,7 +64,9 @@ fn context<E: Into<Cause>>(what: impl Into<String>) -> impl FnOnce(E) -> VideoEr
 /// The pictures of one clip.
 #[derive(Clone, Debug)]
 pub struct Frames {
+    /// Width of a picture in pixels.
     pub width: usize,
+    /// Height of a picture in pixels.
     pub height: usize,
     /// Pictures a second.
     pub rate_hz: f32,
@@ -78,6 +80,7 @@ impl Frames {
         self.rgb.len() / self.stride().max(1)
     }
 
+    /// Whether there is no picture.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

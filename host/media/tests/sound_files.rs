@@ -261,6 +261,97 @@ fn tags_of_mp3_files_are_passed_over() {
     );
 }
 
+/// What follows the last frame costs none of the frames before it, and a tag before a FLAC file does not make it an MP3.
+#[test]
+fn zeros_and_tags_around_a_file_are_passed_over() {
+    let plain = encoded(
+        "a.mp3",
+        &["-write_id3v1", "0", "-id3v2_version", "0", "-bitexact"],
+    );
+    let want = sound::decode(&plain).unwrap().samples;
+    let tag = {
+        let mut tag = b"TAGa title".to_vec();
+        tag.resize(128, 0);
+        tag
+    };
+    for after in [
+        vec![0; 64],
+        vec![0; 5000],
+        tag.clone(),
+        [vec![0; 700], tag].concat(),
+    ] {
+        let bytes = [plain.clone(), after].concat();
+        assert_eq!(sound::decode(&bytes).unwrap().samples, want);
+    }
+    let flac = encoded("a.flac", &[]);
+    let id3 = b"ID3\x04\0\0\0\0\x01\x02".iter().copied().chain([0; 130]);
+    let tagged: Vec<u8> = id3.chain(flac.iter().copied()).collect();
+    assert_eq!(
+        sound::decode(&tagged).unwrap().samples,
+        sound::decode(&flac).unwrap().samples
+    );
+}
+
+/// More than fits into one window of the MP3 reader, with a picture of 200 kB behind it.
+#[test]
+fn long_files_are_read_piece_by_piece() {
+    let hello = sound::decode(HELLO).unwrap().samples;
+    let folder = tempfile::tempdir().unwrap();
+    let long = folder.path().join("long.wav");
+    sound::write(&long, &hello.repeat(40)).unwrap();
+    for (name, options) in [
+        ("long.mp3", &["-b:a", "64k"][..]),
+        ("long.ogg", &["-c:a", "libvorbis"]),
+        ("long.flac", &["-ar", "44100"]),
+        ("streamed.wav", &["-ar", "48000", "-ac", "2"]),
+    ] {
+        ffmpeg(folder.path(), &[&["-i", "long.wav"], options, &[name]].concat());
+        let mut bytes = std::fs::read(folder.path().join(name)).unwrap();
+        if name.ends_with("mp3") {
+            let size = 200_000u32;
+            let head = |flags: [u8; 4]| {
+                let parts: [&[u8]; 5] = [
+                    b"APETAGEX",
+                    &2000u32.to_le_bytes(),
+                    &size.to_le_bytes(),
+                    &1u32.to_le_bytes(),
+                    &flags,
+                ];
+                [&parts.concat()[..], &[0; 8]].concat()
+            };
+            bytes.extend(head([0, 0, 0, 0xa0]));
+            bytes.extend(vec![0x55; size as usize - 32]);
+            bytes.extend(head([0, 0, 0, 0x80]));
+        }
+        let whole = sound::decode(&bytes)
+            .unwrap_or_else(|e| panic!("{name}: {e:#}"))
+            .samples;
+        let reference = decoded_by_ffmpeg(&std::fs::read(folder.path().join(name)).unwrap()).samples;
+        let worst = whole.iter().zip(&reference).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst <= Some(4), "{name}: {worst:?}");
+        // Through a pipe that gives a few bytes at a time.
+        let mut reader = sound::Reader::of_stream(name, Trickle(bytes.into(), 1)).unwrap();
+        let (mut samples, mut longest) = (Vec::<i16>::new(), 0);
+        while let Some(piece) = reader.piece().unwrap() {
+            longest = longest.max(piece.len());
+            samples.extend(piece);
+        }
+        assert_eq!(samples, whole, "{name}");
+        assert!(longest < 32_000, "{name}: {longest}");
+    }
+}
+
+/// Gives 1 to 700 bytes at a time.
+struct Trickle(std::collections::VecDeque<u8>, usize);
+
+impl std::io::Read for Trickle {
+    fn read(&mut self, to: &mut [u8]) -> std::io::Result<usize> {
+        self.1 = (self.1 * 7 + 3) % 700;
+        let most = to.len().min(self.1 + 1);
+        self.0.read(&mut to[..most])
+    }
+}
+
 /// Ogg pages with right checksums around damaged packets: what Vorbis itself has to withstand.
 #[test]
 fn damaged_packets_of_vorbis_are_refused_or_read_but_never_a_panic() {

@@ -58,20 +58,28 @@ pub struct RunSettings {
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum SettingError {
+    /// `settle` is for recurrent models only.
     #[error("only models trained on the error of their mouth settle it")]
     Settle,
+    /// `feedback` needs tables with visual densities.
     #[error("the tables have no visual densities to re-estimate the mouth with")]
     Feedback,
+    /// `beam_bits` is for the fixed engine only.
     #[error("the float engine has no beam")]
     FloatBeam,
+    /// `profile` does not go with a float model that has a lag.
     #[error("in floats a model with a lag has no profiles")]
     FloatProfile,
+    /// A recurrent model in floats takes neither `beam_bits`, `lag` nor `feedback`.
     #[error("a model trained on the error of its mouth has neither beam, lag nor EM in floats")]
     FloatRecurrent,
+    /// The lag is longer than `most`, both in hops.
     #[error("a lag of {lag} hops is too long: the device has room for {most}")]
     Lag { lag: u16, most: usize },
+    /// The beam's width, in bits, is out of range.
     #[error("a beam of {bits} bits is out of range")]
     Beam { bits: f64 },
+    /// The exponent of the mouth's likelihood is out of range.
     #[error("an exponent of {exponent} is out of range: 0 to 4")]
     Exponent { exponent: f64 },
 }

@@ -22,7 +22,20 @@ pub const PERIOD: u32 = (HOP_SAMPLES as u32) * (10_000_000 / SAMPLE_RATE_HZ);
 const HEADER: usize = 12;
 
 /// Writes observations, `[frames, 39]`, whole or not at all.
+///
+/// # Errors
+///
+/// As [`bytes`], and what the disk says.
 pub fn write(path: &Path, observations: &Array2<f32>) -> Result<()> {
+    Ok(files::write_bytes(path, &bytes(observations)?)?)
+}
+
+/// A file's bytes for observations `[frames, 39]`.
+///
+/// # Errors
+///
+/// Another number of columns, or more frames than a header can say.
+pub fn bytes(observations: &Array2<f32>) -> Result<Vec<u8>> {
     let (frames, columns) = observations.dim();
     if columns != N_OBSERVATION {
         bail!("MFCC_E_D_A has {N_OBSERVATION} columns, not {columns}");
@@ -35,7 +48,7 @@ pub fn write(path: &Path, observations: &Array2<f32>) -> Result<()> {
     for value in observations {
         bytes.extend(value.to_be_bytes());
     }
-    Ok(files::write_bytes(path, &bytes)?)
+    Ok(bytes)
 }
 
 /// Reads an uncompressed `MFCC_E_D_A` file at 10 ms.

@@ -7,10 +7,12 @@ use thiserror::Error;
 /// Why the device at the other end is of no use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum LinkError {
+    /// The device's firmware speaks another version of the protocol.
     #[error(
         "the device speaks protocol {theirs}, this program {PROTOCOL}: flash the firmware of this program's version"
     )]
     Protocol { theirs: u8 },
+    /// The device runs another model than the one here; each is given by its number.
     #[error(
         "the device runs model {theirs:08x}, here is {ours:08x}: flash this model or choose the device's"
     )]
@@ -70,6 +72,7 @@ impl Link {
         self.hello.as_ref()
     }
 
+    /// What has been lost so far.
     pub fn losses(&self) -> Losses {
         self.losses
     }

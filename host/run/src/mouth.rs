@@ -7,7 +7,9 @@ use crate::tensors::{Tensors, TensorsBuilder};
 /// Mean and eigenmouths of colour images, rows of interleaved R, G, B in 0..255.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MouthSpace {
+    /// Width of an image in pixels.
     pub width: usize,
+    /// Height of an image in pixels.
     pub height: usize,
     /// `[height·width·3]`, 0..255.
     pub mean: Array1<f32>,
@@ -57,6 +59,7 @@ impl MouthSpace {
         self.basis.nrows()
     }
 
+    /// Puts the space into a file, under names that begin with `mouth.`.
     pub fn store(&self, to: &mut TensorsBuilder) {
         to.put("mouth.mean", &self.mean);
         to.put("mouth.basis", &self.basis);
@@ -65,6 +68,11 @@ impl MouthSpace {
         to.note("mouth.height", self.height);
     }
 
+    /// The space in a file that has been read.
+    ///
+    /// # Errors
+    ///
+    /// That a note or an array is missing, or that they do not fit each other.
     pub fn load(from: &Tensors) -> Result<Self> {
         let space = MouthSpace {
             width: from.noted("mouth.width")?,

@@ -20,7 +20,23 @@ pub fn read_npy(path: &Path) -> Result<Array2<f32>> {
 }
 
 /// Writes a two-dimensional f32 array, whole or not at all.
+///
+/// # Errors
+///
+/// What the disk says.
 pub fn write_npy(path: &Path, array: &Array2<f32>) -> Result<()> {
     use ndarray_npy::WriteNpyExt;
     Ok(files::write_whole(path, |file| array.write_npy(file))?)
+}
+
+/// An array as the bytes of a `.npy` file.
+///
+/// # Errors
+///
+/// None for arrays of any shape that fits in memory; the writer's interface has them.
+pub fn npy_bytes(array: &Array2<f32>) -> Result<Vec<u8>> {
+    use ndarray_npy::WriteNpyExt;
+    let mut bytes = Vec::new();
+    array.write_npy(&mut bytes)?;
+    Ok(bytes)
 }

@@ -14,10 +14,15 @@ use crate::random::normal;
 /// Sizes of a random model.
 #[derive(Clone, Debug)]
 pub struct Sizes {
+    /// Phones that the model knows.
     pub phones: Vec<Phone>,
+    /// Components of each state's mixture.
     pub densities: usize,
+    /// Frames of the context, relative to the current one.
     pub taps: Vec<i32>,
+    /// Numbers in the input of the maps.
     pub inputs: usize,
+    /// Mouth parameters D.
     pub parameters: usize,
 }
 

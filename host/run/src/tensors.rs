@@ -24,15 +24,22 @@ pub struct TensorsBuilder {
 }
 
 impl TensorsBuilder {
+    /// Adds an array under a name.
     pub fn put<S: Data<Elem = f32>, D: Dimension>(&mut self, name: &str, array: &ArrayBase<S, D>) {
         let bytes = array.iter().flat_map(|v| v.to_le_bytes()).collect();
         self.arrays.push((name.to_owned(), array.shape().to_vec(), bytes));
     }
 
+    /// Adds a note, or replaces the one of the same key.
     pub fn note(&mut self, key: &str, value: impl ToString) {
         self.notes.insert(key.to_owned(), value.to_string());
     }
 
+    /// Writes the file; equal contents give equal bytes.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut views = Vec::new();
         for (name, shape, bytes) in &self.arrays {
@@ -48,6 +55,11 @@ impl TensorsBuilder {
 }
 
 impl Tensors {
+    /// Reads a file.
+    ///
+    /// # Errors
+    ///
+    /// That it cannot be read, was not written by lipstream, or is damaged.
     pub fn read(path: &Path) -> Result<Self> {
         Self::parse(&files::read_bytes(path)?, &path.display().to_string())
     }
@@ -104,10 +116,16 @@ impl Tensors {
             .map_err(|_| anyhow!("{}: tensor {name} has {} dimensions", self.path, shape.len()))
     }
 
+    /// Whether there is an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
     }
 
+    /// The note under `key`, as the type that the caller asks for.
+    ///
+    /// # Errors
+    ///
+    /// That there is no such note, or that it does not read as this type.
     pub fn noted<T: FromStr>(&self, key: &str) -> Result<T> {
         let text = self
             .notes

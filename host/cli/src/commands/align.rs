@@ -5,7 +5,7 @@ use anyhow::{Context as _, Result, bail};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::choices;
+use lipstream::time;
 use lipstream_make::align::score::{Errors, Summary, table};
 use lipstream_make::align::write::Format;
 use lipstream_make::align::{Aligner, Alignment, AudioHmm};
@@ -13,7 +13,9 @@ use lipstream_make::corpus::discover;
 use lipstream_make::corpus::labels;
 use lipstream_make::corpus::pronounce::Pronouncer;
 use lipstream_make::features::{Clip, FeatureFolder, PhoneLabel, Split, Word};
-use lipstream_media::sound;
+
+use super::choices;
+use super::streams::{is_standard, name, read_sound, write};
 
 /// Find when each word and phone of a known text is said
 ///
@@ -22,7 +24,7 @@ use lipstream_media::sound;
 /// that are found are compared with the labels'.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound files, or one folder
+    /// Sound files, or one folder; - is a sound on standard input
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
     /// Model: of `lipstream train`, best with --sound-only
@@ -31,7 +33,7 @@ pub(crate) struct Args {
     /// Text of the one sound file
     #[arg(short, long, value_name = "FILE")]
     transcript: Option<PathBuf>,
-    /// File for one sound, else folder
+    /// File for one sound, else folder; - is standard output
     #[arg(short, long, value_name = "OUT", required_unless_present = "score")]
     output: Option<PathBuf>,
     /// Format [default: by OUT's extension, else textgrid]
@@ -58,6 +60,17 @@ pub(crate) struct Args {
 struct Job {
     clip: Clip,
     sound: PathBuf,
+    /// What came on standard input, which can be read only once.
+    samples: Option<Vec<i16>>,
+}
+
+impl Job {
+    fn samples(&self) -> Result<Vec<i16>> {
+        match &self.samples {
+            Some(samples) => Ok(samples.clone()),
+            None => read_sound(&self.sound),
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -85,6 +98,20 @@ pub(crate) fn run(args: Args) -> Result<()> {
         (None, None) => Format::Textgrid,
     };
     let to_file = match &args.output {
+        Some(out) if is_standard(out) => {
+            if jobs.len() > 1 {
+                bail!(
+                    "standard output takes one alignment, but there are {} clips: give a folder",
+                    jobs.len()
+                );
+            }
+            if format == Format::Phn {
+                bail!(
+                    "the words of .phn are in a file of their own: give a file's name, or another --format"
+                );
+            }
+            true
+        }
         Some(out) => {
             let known = extension(out).and_then(|e| Format::of_extension(&e));
             if known.is_some() && jobs.len() > 1 {
@@ -102,7 +129,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         .par_iter()
         .map(|job| {
             one(job, &aligner, &args, format, to_file)
-                .with_context(|| format!("cannot align {}", job.sound.display()))
+                .with_context(|| format!("cannot align {}", name(&job.sound)))
         })
         .collect();
     let (mut words, mut phones, mut failed) = (Errors::default(), Errors::default(), 0);
@@ -128,7 +155,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if args.score {
         report(&args, jobs.len() - failed, &words, &phones)?;
     }
-    if let Some(out) = &args.output {
+    if let Some(out) = args.output.as_ref().filter(|out| !is_standard(out)) {
         eprintln!("aligned {} clips into {}", jobs.len() - failed, out.display());
     }
     if failed > 0 {
@@ -158,7 +185,7 @@ fn report(args: &Args, clips: usize, words: &Errors, phones: &Errors) -> Result<
 }
 
 fn one(job: &Job, aligner: &Aligner, args: &Args, format: Format, to_file: bool) -> Result<(Errors, Errors)> {
-    let samples = sound::read(&job.sound)?.samples;
+    let samples = job.samples()?;
     let clip = &job.clip;
     // Labels without words: their phones are the text.
     let said: Alignment = if clip.words.is_empty() {
@@ -166,7 +193,10 @@ fn one(job: &Job, aligner: &Aligner, args: &Args, format: Format, to_file: bool)
     } else {
         aligner.words(&samples, &clip.words)?
     };
-    if let Some(out) = &args.output {
+    if let Some(out) = args.output.as_deref().filter(|out| is_standard(out)) {
+        let text = format.text(&said)?;
+        write(out, |file| Ok(file.write_all(&text)?))?;
+    } else if let Some(out) = &args.output {
         let path = if to_file {
             out.clone()
         } else {
@@ -226,8 +256,12 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
             }
             let texts: Vec<PathBuf> = match &args.transcript {
                 Some(text) => vec![text.clone()],
+                None if is_standard(sound) => Vec::new(),
                 None => beside(sound),
             };
+            if texts.is_empty() && is_standard(sound) {
+                bail!("standard input has no text beside it: give --transcript");
+            }
             if texts.is_empty() {
                 bail!(
                     "{} has no text: give --transcript, or put it beside the sound as {}",
@@ -235,7 +269,10 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
                     sound.with_extension("txt").display()
                 );
             }
-            let id = sound.file_stem().unwrap_or_default().to_string_lossy();
+            let id = match is_standard(sound) {
+                true => "stdin".into(),
+                false => sound.file_stem().unwrap_or_default().to_string_lossy(),
+            };
             job(&id, "", sound, &texts, &pronouncer)
         })
         .collect()
@@ -260,14 +297,15 @@ fn beside(sound: &Path) -> Vec<PathBuf> {
 }
 
 fn job(id: &str, speaker: &str, sound: &Path, texts: &[PathBuf], pronouncer: &Pronouncer) -> Result<Job> {
-    let seconds = sound::read(sound)?.seconds();
+    let samples = read_sound(sound)?;
+    let seconds = time::seconds(samples.len());
     let labels = labels::read(texts, seconds)?;
     let words: Vec<Word> = labels
         .words
         .iter()
         .map(|word| Ok(pronouncer.spoken(word)?.0))
         .collect::<Result<_>>()
-        .with_context(|| format!("the text of {}", sound.display()))?;
+        .with_context(|| format!("the text of {}", name(sound)))?;
     let phones: Vec<PhoneLabel> = labels
         .phones
         .iter()
@@ -278,10 +316,11 @@ fn job(id: &str, speaker: &str, sound: &Path, texts: &[PathBuf], pronouncer: &Pr
         })
         .collect();
     if words.is_empty() && phones.is_empty() {
-        bail!("{}: no words in {}", sound.display(), texts[0].display());
+        bail!("{}: no words in {}", name(sound), texts[0].display());
     }
     Ok(Job {
         sound: sound.to_owned(),
+        samples: is_standard(sound).then_some(samples),
         clip: Clip {
             id: id.to_owned(),
             speaker: speaker.to_owned(),
@@ -311,6 +350,7 @@ fn from_features(args: &Args, root: &Path) -> Result<Vec<Job>> {
         .filter(|c| !(c.words.is_empty() && c.phones.is_empty()))
         .map(|c| Job {
             clip: c.clone(),
+            samples: None,
             sound: folder.wav_path(&c.id),
         })
         .collect())

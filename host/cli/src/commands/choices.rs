@@ -40,6 +40,16 @@ choice! {
 }
 
 choice! {
+    /// Shapes that an animation program blends.
+    BlendSet for lipstream::cues::BlendSet {
+        /// The 15 visemes of Oculus lip sync
+        Oculus,
+        /// The 52 blend shapes of ARKit
+        Arkit,
+    }
+}
+
+choice! {
     /// How long a mouth may wait for the sound that follows (`docs/design.md`, section 5).
     Profile for lipstream_core::wire::Profile {
         /// At most 45 ms

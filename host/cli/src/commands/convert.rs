@@ -5,11 +5,11 @@ use anyhow::{Result, anyhow, bail};
 use lipstream::engine::{Engine, RunSettings, SettingError};
 use lipstream::out::Format;
 use lipstream::session::Frame;
-use lipstream::time::frame_count;
+use lipstream::time::{frame_count, seconds};
 use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
 
 use super::choices;
-use super::streams::{ending, is_standard, name, read_sound, say, write};
+use super::streams::{ending, is_standard, name, open_sound, say, write};
 
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
@@ -56,7 +56,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
     };
     let engine = Engine::open_with(&args.model, args.engine.into(), args.feedback.is_some())?;
-    let sound = read_sound(&args.wav)?;
+    let mut sound = open_sound(&args.wav)?;
     let with = RunSettings {
         lag: args.lag,
         beam_bits: args.beam,
@@ -65,14 +65,21 @@ pub(crate) fn run(args: Args) -> Result<()> {
         settle: args.no_settling.then_some(false),
     };
     let mut session = engine.session(&with).map_err(advise)?;
-    let frames = frame_count(sound.samples.len());
-    if frames == 0 {
+    // A sound that is too short is refused before anything is written.
+    let mut samples = Vec::new();
+    while samples.len() < FRAME_SAMPLES
+        && let Some(piece) = sound.piece()?
+    {
+        samples.extend(piece);
+    }
+    if samples.len() < FRAME_SAMPLES {
         bail!(
             "{} is shorter than one window of {} ms",
             name(&args.wav),
             1000 * FRAME_SAMPLES / SAMPLE_RATE_HZ as usize
         );
     }
+    let mut count = samples.len();
     write(&args.output, |file| {
         let mut numbers = format.write(file, engine.n_parameters())?;
         let mut written = Ok(());
@@ -81,8 +88,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 written = numbers.frame(&frame);
             }
         };
-        for piece in sound.samples.chunks(PIECE) {
+        session.push(&samples, &mut take)?;
+        while let Some(piece) = sound.piece()? {
             session.push(piece, &mut take)?;
+            count += piece.len();
         }
         session.finish(&mut take)?;
         written?;
@@ -91,16 +100,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
     say(
         &args.output,
         &format!(
-            "{frames} frames of {} parameters, {:.2} s",
+            "{} frames of {} parameters, {:.2} s",
+            frame_count(count),
             engine.n_parameters(),
-            sound.seconds()
+            seconds(count)
         ),
     );
     Ok(())
 }
-
-/// Samples that are pushed at a time.
-const PIECE: usize = 16_000;
 
 /// What to do about a setting that cannot be had, in words of the command line.
 pub(super) fn advise(error: SettingError) -> anyhow::Error {

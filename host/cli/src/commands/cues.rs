@@ -2,12 +2,14 @@
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
-use lipstream_core::SAMPLE_RATE_HZ;
+use lipstream::cues::{self, BlendSet, CueError, Format, Shapes};
+use lipstream::engine::{Engine, RunSettings};
+use lipstream::session::Frame;
+use lipstream::time;
+use lipstream_media::sound::Reader;
 
 use super::choices;
-use super::streams::{ending, file_name, is_standard, name, read_sound, say, write};
-use lipstream::cues::{self, Format};
-use lipstream::engine::{Engine, RunSettings};
+use super::streams::{ending, file_name, is_standard, name, open_sound, say, write};
 
 /// Write mouth shapes over time for animation programs
 #[derive(Debug, clap::Args)]
@@ -25,19 +27,11 @@ pub(crate) struct Args {
     #[arg(long, value_parser = ["tsv", "xml", "json", "dat", "csv"])]
     format: Option<String>,
     /// Columns of a .csv
-    #[arg(long, value_enum, default_value_t = Set::Oculus)]
-    set: Set,
+    #[arg(long, value_enum, default_value_t = choices::BlendSet::Oculus)]
+    set: choices::BlendSet,
     /// Arithmetic
     #[arg(long, value_enum, default_value_t = choices::Engine::Fixed)]
     engine: choices::Engine,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Set {
-    /// The 15 visemes of Oculus lip sync
-    Oculus,
-    /// The 52 blend shapes of ARKit
-    Arkit,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -50,22 +44,55 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if format.is_none() && ending != "csv" {
         bail!("{}: write .tsv, .xml, .json, .dat or .csv", args.output.display());
     }
-    let samples = read_sound(&args.wav)?.samples;
+    let mut sound = open_sound(&args.wav)?;
     let engine = Engine::open(&args.model, args.engine.into())?;
-    let weights = engine.convert(&samples, &RunSettings::default())?.visemes;
-    let seconds = samples.len() as f64 / f64::from(SAMPLE_RATE_HZ);
-    let shapes =
-        cues::cues(weights.view(), seconds).with_context(|| format!("{} gives no cues", name(&args.wav)))?;
-    let text = match (format, args.set) {
-        (Some(format), _) => cues::write(format, &shapes, &file_name(&args.wav)),
-        (None, Set::Oculus) => cues::oculus_csv(weights.view())?,
-        (None, Set::Arkit) => cues::arkit_csv(weights.view())?,
-    };
-    write(&args.output, |file| Ok(file.write_all(text.as_bytes())?))?;
     let what = match format {
-        Some(_) => format!("{} mouth shapes", shapes.len()),
-        None => format!("{} rows", weights.nrows()),
+        Some(format) => {
+            let mut shapes = Shapes::default();
+            let (_, seconds) = hear(&mut sound, &engine, |frame| Ok(shapes.push(frame.visemes)?))?;
+            let shapes = shapes
+                .finish(seconds)
+                .with_context(|| format!("{} gives no cues", name(&args.wav)))?;
+            let text = cues::write(format, &shapes, &file_name(&args.wav));
+            write(&args.output, |file| Ok(file.write_all(text.as_bytes())?))?;
+            format!("{} mouth shapes, {seconds:.2} s", shapes.len())
+        }
+        None => {
+            let mut said = (0, 0.0);
+            write(&args.output, |file| {
+                let mut rows = BlendSet::from(args.set).write(file)?;
+                said = hear(&mut sound, &engine, |frame| Ok(rows.frame(frame)?))?;
+                if said.0 == 0 {
+                    bail!("{} gives no cues: {}", name(&args.wav), CueError::NoFrame);
+                }
+                Ok(rows.finish()?)
+            })?;
+            format!("{} rows, {:.2} s", said.0, said.1)
+        }
     };
-    say(&args.output, &format!("{what}, {seconds:.2} s"));
+    say(&args.output, &what);
     Ok(())
+}
+
+/// Calls `each` with every frame of a sound; gives their number, and the sound's length in seconds.
+fn hear(
+    sound: &mut Reader,
+    engine: &Engine,
+    mut each: impl FnMut(&Frame) -> Result<()>,
+) -> Result<(usize, f64)> {
+    let mut session = engine.session(&RunSettings::default())?;
+    let (mut frames, mut samples, mut heard) = (0, 0, Ok(()));
+    let mut take = |frame: Frame| {
+        frames += 1;
+        if heard.is_ok() {
+            heard = each(&frame);
+        }
+    };
+    while let Some(piece) = sound.piece()? {
+        samples += piece.len();
+        session.push(piece, &mut take)?;
+    }
+    session.finish(&mut take)?;
+    heard?;
+    Ok((frames, time::seconds(samples)))
 }

@@ -2,10 +2,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use indicatif::ProgressBar;
 use lipstream_core::SAMPLE_RATE_HZ;
 
 use super::streams::file_name as name;
+use crate::progress::Terminal;
 use lipstream::cues::{self, Format};
 use lipstream::engine::{Converted, Engine, Kind, RunSettings};
 use lipstream::mouth::MouthSpace;
@@ -82,19 +82,9 @@ fn write(
     let seconds = sound.len() as f64 / f64::from(SAMPLE_RATE_HZ);
     let cues = cues::cues(converted.visemes.view(), seconds)
         .with_context(|| format!("{wav_name} gives no mouth"))?;
-    let bar = ProgressBar::new(0).with_message("pictures");
     let settings = Settings::default();
-    let rendered = render::to_mp4(
-        space,
-        converted.parameters.view(),
-        Some(sound),
-        &settings,
-        |done, all| {
-            bar.set_length(all as u64);
-            bar.set_position(done as u64);
-        },
-    )?;
-    bar.finish_and_clear();
+    let tracks = converted.parameters.view();
+    let rendered = render::to_mp4(space, tracks, Some(sound), &settings, &Terminal::default())?;
 
     let video = file("mp4");
     files::write_bytes(&video, &rendered.mp4)?;

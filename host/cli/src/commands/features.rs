@@ -4,22 +4,27 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail};
 use lipstream_core::{FRAME_SAMPLES, N_STATIC};
 
-use lipstream::npy::write_npy;
+use lipstream::npy::npy_bytes;
 use lipstream::reference::{self, Normalisation};
+use lipstream::time::seconds;
 use lipstream::{frontend, htk};
 use lipstream_make::evaluate::exchange;
 use lipstream_make::features::FeatureFolder;
-use lipstream_media::sound;
+
+use super::streams::{ending, is_standard, name, read_sound, say, write};
 
 /// Write audio observations (MFCC_E_D_A) of a sound, or the features of a whole folder as .npy
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis; other rates than 16 kHz are resampled. Or a feature
+    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis (- is standard input); other rates than 16 kHz are resampled. Or a feature
     /// folder (made by `lipstream prepare`)
     sound: PathBuf,
-    /// Where to write: .htk or .npy; for a folder, the folder that gets index.json and one .npy a clip
+    /// Where to write: .htk or .npy, - is standard output; for a folder, the folder that gets index.json and one .npy a clip
     #[arg(short, long)]
     output: PathBuf,
+    /// Format of a sound's observations [default: by the output's ending, htk on standard output]
+    #[arg(long, value_enum)]
+    format: Option<Format>,
     /// Arithmetic: the reference in floats, or what the device computes
     #[arg(long, value_enum, default_value_t = Engine::Float)]
     engine: Engine,
@@ -29,6 +34,14 @@ pub(crate) struct Args {
     /// Feature folder whose training mean the causal mean starts from
     #[arg(long, value_name = "DIR", required_if_eq("norm", "causal"))]
     start: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Format {
+    /// HTK's parameter file
+    Htk,
+    /// NumPy's array file
+    Npy,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -49,10 +62,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if args.sound.is_dir() {
         return export(&args);
     }
-    let write = match args.output.extension().and_then(|e| e.to_str()) {
-        Some("htk") => htk::write,
-        Some("npy") => write_npy,
-        _ => bail!("{}: the name must end in .htk or .npy", args.output.display()),
+    let format = match args.format {
+        Some(format) => format,
+        None if is_standard(&args.output) => Format::Htk,
+        None => match ending(&args.output).as_str() {
+            "htk" => Format::Htk,
+            "npy" => Format::Npy,
+            _ => bail!("{}: the name must end in .htk or .npy", args.output.display()),
+        },
     };
     let normalisation = match (args.norm, &args.start) {
         (Norm::None, _) => Normalisation::None,
@@ -61,28 +78,36 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
         (Norm::Causal, None) => bail!("--norm causal needs --start DIR"),
     };
-    let sound = sound::read(&args.sound)?;
-    if sound.samples.len() < FRAME_SAMPLES {
+    let samples = read_sound(&args.sound)?;
+    if samples.len() < FRAME_SAMPLES {
         bail!(
             "{} holds {:.1} ms of sound; one analysis window is 25 ms",
-            args.sound.display(),
-            1000.0 * sound.seconds()
+            name(&args.sound),
+            1000.0 * seconds(samples.len())
         );
     }
     let observations = match args.engine {
-        Engine::Float => reference::observations(&sound.samples, normalisation),
-        Engine::Fixed => frontend::observations(&sound.samples, normalisation),
+        Engine::Float => reference::observations(&samples, normalisation),
+        Engine::Fixed => frontend::observations(&samples, normalisation),
     };
-    write(&args.output, &observations)?;
-    println!("{}: {} frames", args.output.display(), observations.nrows());
+    let bytes = match format {
+        Format::Htk => htk::bytes(&observations)?,
+        Format::Npy => npy_bytes(&observations)?,
+    };
+    write(&args.output, |file| Ok(file.write_all(&bytes)?))?;
+    say(&args.output, &format!("{} frames", observations.nrows()));
     Ok(())
 }
 
 /// Audio and mouth of every clip at 100 Hz.
 fn export(args: &Args) -> Result<()> {
-    if matches!(args.engine, Engine::Fixed) || matches!(args.norm, Norm::Causal) || args.start.is_some() {
+    if matches!(args.engine, Engine::Fixed)
+        || matches!(args.norm, Norm::Causal)
+        || args.start.is_some()
+        || args.format.is_some()
+    {
         bail!(
-            "{} is a folder: its features are written as they are, without --engine, --norm or --start",
+            "{} is a folder: its features are written as they are, without --format, --engine, --norm or --start",
             args.sound.display()
         );
     }

@@ -2,19 +2,20 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use indicatif::ProgressBar;
-use ndarray::Array2;
 
 use super::choices;
 use super::streams::{ending, file_name, is_standard, name, read_sound, say};
+use crate::progress::Terminal;
 use lipstream::cues;
-use lipstream::engine::{Engine, RunSettings};
+use lipstream::engine::{Converted, Engine, RunSettings};
 use lipstream::mouth::MouthSpace;
-use lipstream::parameters;
-use lipstream::render::{self, Painter, Settings, page};
+use lipstream::progress::Steps;
+use lipstream::render::{self, Painter, Player, Settings, page};
+use lipstream::session::Frame;
 use lipstream::tensors::Tensors;
+use lipstream::{parameters, time};
 use lipstream_media::files;
-use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink};
+use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink, Soundtrack};
 
 /// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
@@ -46,15 +47,6 @@ pub(crate) struct Args {
     noise: f32,
 }
 
-/// What is to be drawn and heard.
-struct Performance {
-    /// `[frames, D]`
-    tracks: Array2<f32>,
-    /// `[frames, 13]`; absent in plain parameters.
-    visemes: Option<Array2<f32>>,
-    sound: Option<Vec<i16>>,
-}
-
 pub(crate) fn run(args: Args) -> Result<()> {
     let settings = Settings {
         fps: args.fps,
@@ -63,46 +55,22 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     let space = mouth(&args.model)?;
     let (width, height) = settings.size(&space)?;
-    let performance = performance(&args)?;
-    let tracks = performance.tracks.view();
-    let sound = performance.sound.as_deref();
-    let bar = ProgressBar::new(0).with_message("pictures");
-    let progress = |done: usize, total: usize| {
-        bar.set_length(total as u64);
-        bar.set_position(done as u64);
-    };
-    let pictures = if ending(&args.output) == "html" {
-        let (Some(visemes), Some(sound)) = (&performance.visemes, sound) else {
-            bail!("a page shows what the model hears: give speech, not parameters");
-        };
-        let rendered = render::to_mp4(&space, tracks, Some(sound), &settings, progress)?;
-        let seconds = sound.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
-        let text = page::write(&page::Page {
-            title: &file_name(&args.input),
-            mp4: &rendered.mp4,
-            sound,
-            viseme_weights: visemes.view(),
-            parameters: tracks,
-            deviation: space.deviation.view(),
-            cues: &cues::cues(visemes.view(), seconds)?,
-        })?;
-        files::write_bytes(&args.output, text.as_bytes())?;
-        rendered.pictures
+    let said = if ending(&args.input) == "npy" {
+        of_parameters(&args, &space, &settings)?
+    } else if args.audio.is_some() {
+        bail!("--audio goes with parameters (.npy); speech is its own sound");
+    } else if ending(&args.output) == "html" {
+        page(&args, &space, &settings)?
     } else {
-        let mut scene = Painter::new(&space, &settings)?;
-        let film = render::film(&scene, &settings, sound);
-        let mut sink = sink(&args.output, &film)?;
-        let pictures = render::play(&mut scene, tracks, &film, |rgb| Ok(sink.picture(rgb)?), progress)?;
-        sink.finish()?;
-        pictures
+        of_speech(&args, &space, &settings)?
     };
-    bar.finish_and_clear();
+    let Drawn { pictures, sound } = said;
     say(
         &args.output,
         &format!(
             "{pictures} pictures of {width}×{height}, {:.2} s{}",
             pictures as f64 / f64::from(args.fps),
-            if sound.is_some() {
+            if sound {
                 ""
             } else {
                 ", without sound (--audio WAV adds it)"
@@ -110,6 +78,120 @@ pub(crate) fn run(args: Args) -> Result<()> {
         ),
     );
     Ok(())
+}
+
+/// What was made.
+struct Drawn {
+    pictures: usize,
+    /// Whether there is a sound to it.
+    sound: bool,
+}
+
+/// A film of parameters that were converted before.
+fn of_parameters(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+    if ending(&args.output) == "html" {
+        bail!("a page shows what the model hears: give speech, not parameters");
+    }
+    let sound = match &args.audio {
+        Some(path) => Some(read_sound(path)?),
+        None => None,
+    };
+    let tracks = parameters::read(&args.input)?;
+    let mut scene = Painter::new(space, settings)?;
+    let film = render::film(&scene, settings, sound.as_deref().map(Soundtrack::Samples));
+    let mut sink = sink(&args.output, &film)?;
+    let samples = sound.as_ref().map(Vec::len);
+    let picture = |rgb: &[u8]| Ok(sink.picture(rgb)?);
+    let pictures = render::play(
+        &mut scene,
+        tracks.view(),
+        film.fps,
+        samples,
+        picture,
+        &Terminal::default(),
+    )?;
+    sink.finish()?;
+    Ok(Drawn {
+        pictures,
+        sound: sound.is_some(),
+    })
+}
+
+/// A film of speech, which is read piece by piece: once for its length, once by the sink, and once by the model.
+fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+    let engine = Engine::open(&args.model, args.engine.into())?;
+    // What can be read only once is kept.
+    let samples = match args.input.is_file() {
+        true => None,
+        false => Some(read_sound(&args.input)?),
+    };
+    let sound = match &samples {
+        Some(samples) => Soundtrack::Samples(samples),
+        None => Soundtrack::File(&args.input),
+    };
+    let length = sound.samples()?;
+    let all = render::picture_count(length, args.fps).max(1);
+    let mut session = engine.session(&RunSettings::default())?;
+    let mut scene = Painter::new(space, settings)?;
+    let mut sink = sink(&args.output, &render::film(&scene, settings, Some(sound)))?;
+    let mut player = Player::new(&mut scene, args.fps);
+    let terminal = Terminal::default();
+    let steps = Steps::begin(&terminal, render::PICTURES, all);
+    let mut left = all;
+    let mut picture = |rgb: &[u8]| {
+        // The sound may end before the frames do.
+        if left > 0 {
+            sink.picture(rgb)?;
+            left -= 1;
+            steps.made();
+        }
+        Ok(())
+    };
+    let mut drawn = Ok(());
+    let mut take = |frame: Frame| {
+        if drawn.is_ok() {
+            drawn = player.frame(frame.parameters, &mut picture);
+        }
+    };
+    sound.each(|piece| Ok::<_, anyhow::Error>(session.push(piece, &mut take)?))?;
+    session.finish(&mut take)?;
+    drawn
+        .and_then(|()| player.finish(length, &mut picture))
+        .with_context(|| format!("{} gives no mouth", name(&args.input)))?;
+    sink.finish()?;
+    Ok(Drawn {
+        pictures: all,
+        sound: true,
+    })
+}
+
+/// A page, which carries its film: it is made in memory.
+fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+    let sound = read_sound(&args.input)?;
+    let engine = Engine::open(&args.model, args.engine.into())?;
+    let Converted { parameters, visemes } = engine.convert(&sound, &RunSettings::default())?;
+    parameters::check(parameters.view()).with_context(|| format!("{} gives no mouth", name(&args.input)))?;
+    let rendered = render::to_mp4(
+        space,
+        parameters.view(),
+        Some(&sound),
+        settings,
+        &Terminal::default(),
+    )?;
+    let text = page::write(&page::Page {
+        title: &file_name(&args.input),
+        mp4: &rendered.mp4,
+        sound: &sound,
+        viseme_weights: visemes.view(),
+        parameters: parameters.view(),
+        deviation: space.deviation.view(),
+        cues: &cues::cues(visemes.view(), time::seconds(sound.len()))?,
+    })?;
+    files::write_bytes(&args.output, text.as_bytes())?;
+    Ok(Drawn {
+        pictures: rendered.pictures,
+        sound: true,
+    })
 }
 
 /// Where the pictures go, by the output's name.
@@ -142,31 +224,4 @@ fn mouth(path: &Path) -> Result<MouthSpace> {
         );
     }
     MouthSpace::load(&tensors).with_context(|| format!("{} is no usable model", path.display()))
-}
-
-fn performance(args: &Args) -> Result<Performance> {
-    if ending(&args.input) == "npy" {
-        let sound = match &args.audio {
-            Some(path) => Some(read_sound(path)?.samples),
-            None => None,
-        };
-        return Ok(Performance {
-            tracks: parameters::read(&args.input)?,
-            visemes: None,
-            sound,
-        });
-    }
-    if args.audio.is_some() {
-        bail!("--audio goes with parameters (.npy); speech is its own sound");
-    }
-    let samples = read_sound(&args.input)?.samples;
-    let engine = Engine::open(&args.model, args.engine.into())?;
-    let converted = engine.convert(&samples, &RunSettings::default())?;
-    parameters::check(converted.parameters.view())
-        .with_context(|| format!("{} gives no mouth", name(&args.input)))?;
-    Ok(Performance {
-        tracks: converted.parameters,
-        visemes: Some(converted.visemes),
-        sound: Some(samples),
-    })
 }

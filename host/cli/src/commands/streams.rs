@@ -1,10 +1,10 @@
 //! Standard input and output, which `-` stands for, and files: one place for both.
-use std::io::{self, Read as _, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
 use lipstream_media::files;
-use lipstream_media::sound::{self, Sound};
+use lipstream_media::sound::Reader;
 
 /// Whether a name stands for standard input or output.
 pub(crate) fn is_standard(path: &Path) -> bool {
@@ -19,17 +19,22 @@ pub(crate) fn name(path: &Path) -> String {
     }
 }
 
-/// Reads a sound file, or standard input.
-pub(crate) fn read_sound(path: &Path) -> Result<Sound> {
-    if !is_standard(path) {
-        return Ok(sound::read(path)?);
+/// Opens a sound file, or standard input.
+pub(crate) fn open_sound(path: &Path) -> Result<Reader<'static>> {
+    Ok(match is_standard(path) {
+        true => Reader::of_stream("standard input", io::stdin())?,
+        false => Reader::open(path)?,
+    })
+}
+
+/// A whole sound, 16 kHz mono: of a file, or of standard input.
+pub(crate) fn read_sound(path: &Path) -> Result<Vec<i16>> {
+    let mut sound = open_sound(path)?;
+    let mut samples = Vec::new();
+    while let Some(piece) = sound.piece()? {
+        samples.extend(piece);
     }
-    let mut bytes = Vec::new();
-    io::stdin()
-        .lock()
-        .read_to_end(&mut bytes)
-        .context("cannot read standard input")?;
-    sound::decode(&bytes).context("cannot read standard input as sound")
+    Ok(samples)
 }
 
 /// Writes a file, whole or not at all, or standard output as it comes.

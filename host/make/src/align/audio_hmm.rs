@@ -23,6 +23,7 @@ const KIND: &str = "audio hmm";
 /// One chain over the phones, heard every 5 ms.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AudioHmm {
+    /// The phones of the model, in the order of its states.
     pub phones: Vec<Phone>,
     /// Mean of the raw statics that causal normalisation starts from.
     pub start_mean: [f32; N_STATIC],
@@ -30,9 +31,11 @@ pub struct AudioHmm {
     pub audio: Mixtures,
     /// Natural log, `[phones, 5, 4]`, for frames of 5 ms.
     pub transition: Array3<f32>,
+    /// What is taken off borders after alignment, by kind of border.
     pub shifts: Shifts,
     /// Exponent of the likelihood: frames 5 ms apart share four fifths of their window and are no five witnesses.
     pub acoustic_scale: f64,
+    /// Where the model comes from, in words.
     pub provenance: String,
 }
 
@@ -87,6 +90,7 @@ impl AudioHmm {
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable audio HMM", path.display()))
     }
 
+    /// Writes the file that [`AudioHmm::read`] reads. An error when the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
         out.note("kind", KIND);

@@ -47,8 +47,11 @@ pub struct Alignment {
 /// A phone with its times in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spoken {
+    /// What is said: a phone or a pause.
     pub phone: Phone,
+    /// Where it begins, in seconds from the start of the sound.
     pub start: f64,
+    /// Where it ends, in seconds from the start of the sound.
     pub end: f64,
     /// Index into the text's words; `None` for a pause.
     pub word: Option<usize>,
@@ -59,8 +62,11 @@ pub struct Spoken {
 /// A word with its times in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SpokenWord {
+    /// The word as the text has it.
     pub text: String,
+    /// Where its first phone begins, in seconds from the start of the sound.
     pub start: f64,
+    /// Where its last phone ends, in seconds from the start of the sound.
     pub end: f64,
 }
 
@@ -102,6 +108,7 @@ pub struct Aligner<'a> {
 }
 
 impl<'a> Aligner<'a> {
+    /// Prepares the densities of `hmm` for evaluation.
     pub fn new(hmm: &'a AudioHmm) -> Self {
         Self {
             hmm,

@@ -13,14 +13,21 @@ pub struct Errors(Vec<f64>);
 /// What is said of many borders.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Summary {
+    /// Number of borders compared.
     pub borders: usize,
+    /// Median of the absolute differences, in ms.
     pub median_ms: f64,
+    /// Mean of the absolute differences, in ms.
     pub mean_ms: f64,
     /// Mean of the signed differences: positive where borders are found late.
     pub late_ms: f64,
+    /// Share of borders that are off by 10 ms or less, 0 to 1.
     pub within_10_ms: f64,
+    /// Share of borders that are off by 20 ms or less, 0 to 1.
     pub within_20_ms: f64,
+    /// Share of borders that are off by 50 ms or less, 0 to 1.
     pub within_50_ms: f64,
+    /// Share of borders that are off by 100 ms or less, 0 to 1.
     pub within_100_ms: f64,
 }
 
@@ -41,6 +48,7 @@ impl Errors {
         }
     }
 
+    /// Takes in the borders of `other` too.
     pub fn merge(&mut self, other: Errors) {
         self.0.extend(other.0);
     }

@@ -35,6 +35,7 @@ impl Format {
         }
     }
 
+    /// Usual ending of a file of this format, without the dot.
     pub fn extension(self) -> &'static str {
         match self {
             Format::Lab => "lab",
@@ -44,17 +45,27 @@ impl Format {
         }
     }
 
+    /// The text of a file of this format; of [`Format::Phn`] the phones alone.
+    ///
+    /// # Errors
+    ///
+    /// What the JSON writer says.
+    pub fn text(self, alignment: &Alignment) -> Result<Vec<u8>> {
+        Ok(match self {
+            Format::Lab => lab(alignment).into_bytes(),
+            Format::Textgrid => textgrid(alignment).into_bytes(),
+            Format::Json => json(alignment)?,
+            Format::Phn => phn(alignment).into_bytes(),
+        })
+    }
+
     /// Writes `alignment` to `path` (and its words beside it where the format has them apart).
     pub fn write(self, path: &Path, alignment: &Alignment) -> Result<()> {
         let put = |path: &Path, bytes: &[u8]| files::write_bytes(path, bytes).map_err(Error::other);
+        put(path, &self.text(alignment)?)?;
         match self {
-            Format::Lab => put(path, lab(alignment).as_bytes()),
-            Format::Textgrid => put(path, textgrid(alignment).as_bytes()),
-            Format::Json => put(path, &json(alignment)?),
-            Format::Phn => {
-                put(path, phn(alignment).as_bytes())?;
-                put(&path.with_extension("wrd"), wrd(alignment).as_bytes())
-            }
+            Format::Phn => put(&path.with_extension("wrd"), wrd(alignment).as_bytes()),
+            _ => Ok(()),
         }
     }
 }

@@ -41,11 +41,15 @@ pub struct Options {
 pub struct ClipFiles {
     /// Unique, safe as a file name: the stem, or the path where stems repeat.
     pub id: String,
+    /// Who speaks, by the folders or the options.
     pub speaker: String,
+    /// What the clip is for.
     pub split: Split,
+    /// The video file, if there is one.
     pub video: Option<PathBuf>,
     /// Sound apart from the video; the video's own sound is used when there is none.
     pub sound: Option<PathBuf>,
+    /// Label files of the clip; empty where it has none.
     pub labels: Vec<PathBuf>,
     /// The stem of the files, as it was written.
     pub stem: String,
@@ -75,12 +79,15 @@ pub struct Found {
 /// Where the split came from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SplitBy {
+    /// From folders called train, val or test, or the like.
     Folders,
+    /// From the speakers named in [`Options`].
     Options,
     /// By speaker, from the hash of the speaker's name.
     Speaker,
     /// By clip, from the hash of the clip's id.
     Clip,
+    /// Nothing was split: every clip is a training clip.
     #[default]
     AllTrain,
 }

@@ -31,8 +31,11 @@ const CLIPS_PER_THREAD: usize = 4;
 /// What to prepare and how.
 #[derive(Clone, Debug)]
 pub struct PrepareSettings {
+    /// Folder of the corpus.
     pub corpus: PathBuf,
+    /// Feature folder to write.
     pub out: PathBuf,
+    /// How clips are dealt out to speakers and splits.
     pub clips: discover::Options,
     /// The user's pronunciations, in CMUdict's text format.
     pub dictionary: Option<PathBuf>,

@@ -12,22 +12,32 @@ use lipstream::phones::Phone;
 /// Clips, hours and speakers of one split.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct SplitSummary {
+    /// Number of clips.
     pub clips: usize,
+    /// Those of them that have video.
     pub with_video: usize,
+    /// Number of different speakers.
     pub speakers: usize,
+    /// Length of all clips together, in seconds.
     pub seconds: f64,
+    /// Number of words in the labels, repeated ones counted each time.
     pub words: usize,
 }
 
 /// What came out.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
+    /// Folder that was prepared, as the user gave it.
     pub corpus: String,
+    /// Feature folder that was written, as the user gave it.
     pub folder: String,
     /// Where the split came from.
     pub split_by: String,
+    /// The training clips.
     pub train: SplitSummary,
+    /// The validation clips.
     pub val: SplitSummary,
+    /// The test clips.
     pub test: SplitSummary,
     /// Numbers in a visual frame; 0 without video.
     pub visual_size: usize,
@@ -37,16 +47,21 @@ pub struct Summary {
     pub named_sentences: usize,
     /// Different words, by where their pronunciation came from.
     pub words_from_user_dictionary: usize,
+    /// Different words that CMUdict or the table of letter names has.
     pub words_from_dictionary: usize,
+    /// Different words that are an inflected form of a word in a dictionary.
     pub words_inflected: usize,
     /// Words that no dictionary has, spoken by rule.
     pub words_by_rule: Vec<String>,
     /// Phones of X&L table 1 in the training clips, with how often they occur, and those that do not occur.
     pub phones: BTreeMap<String, usize>,
+    /// Phones of X&L table 1 that no training clip holds.
     pub phones_missing: Vec<String>,
     /// Files of the corpus that belong to no clip.
     pub left_alone: Vec<String>,
+    /// Clips that could not be read, with the reason.
     pub skipped: Vec<Skipped>,
+    /// Time that the preparation took, in seconds.
     pub seconds_taken: f64,
 }
 

@@ -25,6 +25,7 @@ pub struct Accumulator {
 }
 
 impl Accumulator {
+    /// Empty sums for so many states, components a state, and numbers in an observation.
     pub fn new(states: usize, components: usize, dimensions: usize) -> Self {
         Self {
             occupancy: Array2::zeros((states, components)),
@@ -33,6 +34,7 @@ impl Accumulator {
         }
     }
 
+    /// Empty sums of the shape of `mixtures`.
     pub fn for_mixtures(mixtures: &Mixtures) -> Self {
         let (s, k, d) = mixtures.mean.dim();
         Self::new(s, k, d)
@@ -60,6 +62,7 @@ impl Accumulator {
         }
     }
 
+    /// Adds the sums of other data; both have the same shape.
     pub fn merge(&mut self, other: &Accumulator) {
         self.occupancy += &other.occupancy;
         self.first += &other.first;

@@ -32,8 +32,11 @@ const LEAST_OCCUPANCY: f64 = 1e-6;
 /// The parameters that EM re-estimates.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
+    /// Which states each chain has, and how the two may move against each other.
     pub topology: Topology,
+    /// The phones of the model, in the order of its states.
     pub phones: Vec<Phone>,
+    /// Densities of the audio states (or of joint states, where both streams are one observation).
     pub audio: Mixtures,
     /// Absent in an audio HMM.
     pub visual: Option<Mixtures>,
@@ -44,17 +47,22 @@ pub struct Parameters {
 /// Sums of one pass over the data.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sums {
+    /// Sums for the audio densities.
     pub audio: Accumulator,
+    /// Sums for the visual densities, if the parameters have any.
     pub visual: Option<Accumulator>,
     /// Expected number of times that each choice was made, `[phones, classes, 4]`.
     pub transition: Array3<f64>,
+    /// Natural log likelihood of all utterances that a path explains.
     pub log_likelihood: f64,
+    /// Frames of those utterances.
     pub frames: usize,
     /// Utterances that no path through their network explains (too short, or words that do not fit).
     pub failed: Vec<String>,
 }
 
 impl Sums {
+    /// Empty sums of the shape of `parameters`.
     pub fn new(parameters: &Parameters) -> Self {
         Self {
             audio: Accumulator::for_mixtures(&parameters.audio),
@@ -66,6 +74,7 @@ impl Sums {
         }
     }
 
+    /// Adds the sums of other utterances, made with the same parameters.
     pub fn merge(&mut self, other: Sums) {
         self.audio.merge(&other.audio);
         if let (Some(mine), Some(theirs)) = (&mut self.visual, &other.visual) {
@@ -451,6 +460,7 @@ pub struct Aligner<'a> {
 }
 
 impl<'a> Aligner<'a> {
+    /// Prepares the densities of `parameters` for evaluation.
     pub fn new(parameters: &'a Parameters) -> Self {
         Self {
             parameters,

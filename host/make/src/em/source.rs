@@ -11,11 +11,13 @@ use lipstream::hmm::network::PhoneNetwork;
 /// What training sees of one clip.
 #[derive(Clone, Debug)]
 pub struct Utterance {
+    /// The clip's name in its feature folder.
     pub id: String,
     /// `[frames, 39]`
     pub audio: Array2<f32>,
     /// `[frames, D]` at the audio's rate, or nothing in an audio-only corpus.
     pub visual: Option<Array2<f32>>,
+    /// The phones that may be said, by the clip's labels.
     pub network: PhoneNetwork,
     /// Phone (model index) and state 0..5 of every frame, from labels or evenly spread: where EM starts.
     pub start: Vec<(usize, usize)>,
@@ -23,12 +25,15 @@ pub struct Utterance {
 
 /// Utterances one by one: in memory, or read when they are asked for.
 pub trait Source: Sync {
+    /// Number of utterances.
     fn len(&self) -> usize;
 
+    /// Whether there is no utterance at all.
     fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
+    /// Utterance `index`, from 0. An error when it cannot be read.
     fn get(&self, index: usize) -> Result<Cow<'_, Utterance>>;
 }
 

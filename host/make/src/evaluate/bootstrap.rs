@@ -16,16 +16,22 @@ const COVERAGE: f64 = 0.95;
 /// A number with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Interval {
+    /// The number measured on all clips.
     pub value: f64,
+    /// Lower end of the interval.
     pub low: f64,
+    /// Upper end of the interval.
     pub high: f64,
 }
 
 /// One system less another on the same clips.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Difference {
+    /// The difference measured on all clips.
     pub difference: f64,
+    /// Lower end of its 95 % interval.
     pub low: f64,
+    /// Upper end of its 95 % interval.
     pub high: f64,
     /// Share of exchanges with at least this difference, two-sided; never below 1/(resamples + 1).
     pub p: f64,
@@ -38,6 +44,7 @@ pub struct Draws {
 }
 
 impl Draws {
+    /// Makes `resamples` draws of `clips` clips, with replacement; the same seed gives the same draws.
     pub fn new(clips: usize, resamples: usize, seed: u64) -> Self {
         let mut rng = Pcg64::seed_from_u64(seed);
         let row = |rng: &mut Pcg64| (0..clips).map(|_| rng.random_range(0..clips)).collect();
@@ -52,6 +59,7 @@ impl Draws {
 /// A system's score on every clip, and on every resample.
 pub struct Resampled {
     clips: Vec<Score>,
+    /// The score of all clips together.
     pub whole: Score,
     drawn: Vec<Score>,
 }
@@ -77,6 +85,7 @@ impl Resampled {
         }
     }
 
+    /// A number that follows from the score, with its 95 % interval over the resamples.
     pub fn interval(&self, metric: impl Fn(&Score) -> f64) -> Interval {
         let (low, high) = middle(self.drawn.iter().map(&metric).collect());
         Interval {

@@ -5,6 +5,7 @@ use ndarray::Array2;
 /// What a candidate hears of one clip. The features belong to the samples, also where noise was added to
 /// them or their beginning was cut off.
 pub struct Heard<'a> {
+    /// Name of the clip in its feature folder.
     pub id: &'a str,
     /// 16 kHz mono.
     pub samples: Vec<i16>,
@@ -45,12 +46,14 @@ pub struct Candidate<'a> {
     pub listed: bool,
     /// False for one that knows the folder's clips by name and cannot hear anything else (predictions from files).
     pub hears: bool,
+    /// Says what the mouth does in a clip that is heard.
     pub predict: Predict<'a>,
     /// Estimates from the first (before any iteration) to the last.
     pub iterations: Option<Iterate<'a>>,
 }
 
 impl<'a> Candidate<'a> {
+    /// A listed system without a family that hears any sound and does not iterate.
     pub fn new(
         name: impl Into<String>,
         look_ahead_ms: Option<u32>,
@@ -79,6 +82,7 @@ impl<'a> Candidate<'a> {
         self
     }
 
+    /// Gives the estimates after each iteration too, for the report's figure of convergence.
     pub fn with_iterations(
         mut self,
         iterations: impl Fn(&Heard) -> Result<Vec<Iteration>> + Sync + 'a,

@@ -50,16 +50,19 @@ impl Changes {
         })
     }
 
+    /// Takes in the changes and seconds of other clips.
     pub fn add(&mut self, other: Self) {
         self.visemes += other.visemes;
         self.cues += other.cues;
         self.seconds += other.seconds;
     }
 
+    /// How often in a second of speech the likeliest viseme changes.
     pub fn visemes_per_second(&self) -> f64 {
         self.visemes as f64 / self.seconds.max(1e-9)
     }
 
+    /// How often in a second of speech a new cue begins.
     pub fn cues_per_second(&self) -> f64 {
         self.cues as f64 / self.seconds.max(1e-9)
     }

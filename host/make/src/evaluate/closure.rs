@@ -51,6 +51,7 @@ pub struct Closure {
     pub closed_share: f64,
     /// p, b, m in the labels, and those at which the true mouth closes.
     pub bilabials: usize,
+    /// Labelled p, b, m at which the true mouth closes.
     pub bilabials_closed: usize,
     /// The true eigenmouth weights first, then the systems.
     pub systems: Vec<Row>,
@@ -59,14 +60,19 @@ pub struct Closure {
 /// How one system's mouth closes.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
+    /// What the system is called in the report.
     pub name: String,
     /// Of the gap with the true one, over all frames.
     pub correlation: f64,
     /// Mean gap less the true one, in pixels.
     pub bias_px: f64,
+    /// Share of the frames shown closed that are closed, 0 to 1; 0 where none is shown closed.
     pub precision: f64,
+    /// Share of the closed frames that are shown closed, 0 to 1; 0 where none is closed.
     pub recall: f64,
+    /// Precision within 50 ms of the labels of p, b, m.
     pub precision_at_bilabials: f64,
+    /// Recall within 50 ms of the labels of p, b, m.
     pub recall_at_bilabials: f64,
     /// Share of the true closures at p, b, m that are kept.
     pub bilabials_kept: f64,

@@ -25,22 +25,31 @@ pub const FIRST: usize = 50;
 /// What a candidate scored from cold starts on, and on the same frames warm.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
+    /// What the candidate is called in the report.
     pub name: String,
+    /// Mean squared distance a frame, cold.
     pub amse: Interval,
+    /// Mean correlation of the mouth parameters, cold.
     pub acc: Interval,
+    /// Mean squared distance a frame, warm.
     pub warm_amse: Interval,
+    /// Mean correlation of the mouth parameters, warm.
     pub warm_acc: Interval,
     /// Cold less warm.
     pub amse_difference: Difference,
+    /// Cold less warm.
     pub acc_difference: Difference,
     /// Of the first half second after the start.
     pub first_half_second_amse: f64,
+    /// Of the same half second, heard from the clip's beginning.
     pub first_half_second_warm_amse: f64,
 }
 
 /// One clip and its start.
 pub struct Start<'a> {
+    /// What is heard from the start on.
     pub cold: Heard<'a>,
+    /// What is heard from the clip's beginning on, less the samples that put both on the same frames.
     pub warm: Heard<'a>,
     /// Frames of the warm run before the start.
     pub before: usize,
@@ -99,11 +108,14 @@ pub fn starts<'a>(
 
 /// What a candidate says from a start on, `[frames, D]` both.
 pub struct Said {
+    /// From a stream that begins at the start.
     pub cold: Array2<f32>,
+    /// The same frames from a stream that begins with the clip.
     pub warm: Array2<f32>,
 }
 
 impl Start<'_> {
+    /// Runs a candidate on both streams. An error when it fails, or says something of the wrong shape.
     pub fn say(&self, candidate: &Candidate) -> Result<Said> {
         let (frames, size) = self.truth.dim();
         let cold = candidate.say(&self.cold, (frames, size))?.parameters;

@@ -8,9 +8,13 @@ use crate::noise::Kind;
 
 /// A figure with its legend.
 pub struct Figure {
+    /// Heading of the figure.
     pub title: &'static str,
+    /// What has to be known to read it.
     pub caption: String,
+    /// The drawing as SVG text.
     pub svg: String,
+    /// Name and look of every line; empty where the drawing names its rows itself.
     pub legend: Vec<(String, Look)>,
 }
 

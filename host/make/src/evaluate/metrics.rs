@@ -16,6 +16,7 @@ pub struct Score {
 }
 
 impl Score {
+    /// Empty sums for a mouth of `size` parameters.
     pub fn new(size: usize) -> Self {
         let zeros = vec![0.0; size];
         Self {
@@ -61,6 +62,7 @@ impl Score {
         }
     }
 
+    /// Adds the sums of other frames; both have the same number of parameters.
     pub fn merge(&mut self, other: &Score) {
         self.frames += other.frames;
         self.squared += other.squared;
@@ -76,6 +78,7 @@ impl Score {
         }
     }
 
+    /// Number of frames added so far.
     pub fn frames(&self) -> usize {
         self.frames as usize
     }

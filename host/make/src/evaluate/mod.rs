@@ -31,8 +31,11 @@ pub use write::{Destination, Heading, html, json, markdown};
 
 /// A clip with its mouth at the audio's rate.
 pub struct Truth<'a> {
+    /// The clip's entry in the manifest.
     pub clip: &'a Clip,
+    /// Audio observations, `[frames, 39]` at 100 Hz.
     pub audio: Array2<f32>,
+    /// The true mouth parameters, `[frames, D]` at 100 Hz.
     pub visual: Array2<f32>,
 }
 

@@ -32,8 +32,11 @@ pub enum Look {
 /// One curve.
 #[derive(Clone, Debug)]
 pub struct Line {
+    /// What the curve is called.
     pub name: String,
+    /// What decides its colour and dashes.
     pub look: Look,
+    /// The points (x, y) that it joins.
     pub points: Vec<(f64, f64)>,
     /// Lower and upper end of each point's interval; empty for none.
     pub intervals: Vec<(f64, f64)>,
@@ -42,6 +45,7 @@ pub struct Line {
 }
 
 impl Line {
+    /// A curve without dots and intervals.
     pub fn new(name: impl Into<String>, look: Look, points: Vec<(f64, f64)>) -> Self {
         Self {
             name: name.into(),
@@ -52,11 +56,13 @@ impl Line {
         }
     }
 
+    /// With a dot at every point.
     pub fn dotted(mut self) -> Self {
         self.dots = true;
         self
     }
 
+    /// With the lower and upper end of an interval at every point.
     pub fn with_intervals(mut self, intervals: Vec<(f64, f64)>) -> Self {
         self.intervals = intervals;
         self
@@ -66,9 +72,13 @@ impl Line {
 /// One pair of axes.
 #[derive(Clone, Debug, Default)]
 pub struct Panel {
+    /// What stands over the axes.
     pub title: String,
+    /// Label of the horizontal axis.
     pub x: String,
+    /// Label of the vertical axis.
     pub y: String,
+    /// The curves drawn between the axes.
     pub lines: Vec<Line>,
 }
 

@@ -12,16 +12,20 @@ use crate::noise;
 pub struct EvaluateSettings {
     /// Resamples of the intervals and tests.
     pub resamples: usize,
+    /// Seed of the resamples, the noise and the cold starts.
     pub seed: u64,
     /// Candidate that the others are compared with; `None`: `ph-vi-chmm`, or the first whose name begins so.
     pub reference: Option<String>,
+    /// Noise to measure in; `None`: no noise is added.
     pub noise: Option<NoiseSettings>,
+    /// Whether streams that begin in mid-clip are measured too.
     pub cold_starts: bool,
 }
 
 /// How noise is added.
 #[derive(Clone, Debug)]
 pub struct NoiseSettings {
+    /// Signal-to-noise ratios over speech, in dB.
     pub snrs_db: Vec<f64>,
     /// Folder whose clips babble; `None`: the training clips of the folder that is measured.
     pub babble: Option<FeatureFolder>,
@@ -56,21 +60,31 @@ impl Default for EvaluateSettings {
 pub struct Report {
     /// Last part of the folder's path.
     pub folder: String,
+    /// Split whose clips were measured.
     pub split: Split,
+    /// Number of clips measured.
     pub clips: usize,
+    /// Their frames together, at 100 Hz.
     pub frames: usize,
     /// Numbers in a mouth frame.
     pub parameters: usize,
+    /// Resamples of the intervals and tests.
     pub resamples: usize,
+    /// Seed of everything that is drawn at random.
     pub seed: u64,
+    /// Name of the candidate that the others are compared with, if there is one.
     pub reference: Option<String>,
+    /// Every listed candidate on whole clips.
     pub systems: Vec<System>,
     /// Quality against look-ahead, a curve a family.
     pub look_ahead: Vec<Curve>,
     /// Folder whose voices babble.
     pub babble_of: Option<String>,
+    /// One entry for each noise and ratio; empty where no noise was measured.
     pub noise: Vec<NoiseCondition>,
+    /// Streams that begin in mid-clip, where they were measured.
     pub cold_starts: Option<ColdStarts>,
+    /// How well the mouths close, where it could be measured.
     pub closure: Option<Closure>,
     /// X&L figure 10, for systems that iterate.
     pub convergence: Vec<Convergence>,
@@ -83,12 +97,17 @@ pub struct Report {
 /// One candidate on whole clips.
 #[derive(Clone, Debug, Serialize)]
 pub struct System {
+    /// Name of the candidate.
     pub name: String,
+    /// Future that it looks at, in ms; `None`: the whole utterance.
     pub look_ahead_ms: Option<u32>,
+    /// Mean squared distance a frame.
     pub amse: Interval,
     /// Eq. 20 as printed: the mean distance, not squared.
     pub mean_distance: Interval,
+    /// Mean correlation of the mouth parameters.
     pub acc: Interval,
+    /// Mean correlation of the first five, which carry most of the motion.
     pub acc_of_first_5: Interval,
     /// Of each parameter.
     pub correlations: Vec<f64>,
@@ -96,44 +115,60 @@ pub struct System {
     pub against_reference: Option<Against>,
     /// In speech, by the labels: how often the likeliest viseme changes, and how often a drawn mouth shape (`cues`) does.
     pub viseme_changes_per_second: Option<f64>,
+    /// Cues that begin in a second of speech; `None` for a system without visemes.
     pub cue_changes_per_second: Option<f64>,
 }
 
 /// Differences from the reference on the same clips.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Against {
+    /// Of the mean squared distance; below 0 where the system is better.
     pub amse: Difference,
+    /// Of the mean correlation; above 0 where the system is better.
     pub acc: Difference,
 }
 
 /// One family at several look-aheads.
 #[derive(Clone, Debug, Serialize)]
 pub struct Curve {
+    /// What the family is called.
     pub family: String,
+    /// Its members by rising look-ahead, those that need the whole utterance last.
     pub points: Vec<Point>,
 }
 
+/// One member of a family on whole clips.
 #[derive(Clone, Debug, Serialize)]
 pub struct Point {
+    /// Name of the candidate.
     pub system: String,
+    /// Future that it looks at, in ms; `None`: the whole utterance.
     pub look_ahead_ms: Option<u32>,
+    /// Mean squared distance a frame.
     pub amse: Interval,
+    /// Mean correlation of the mouth parameters.
     pub acc: Interval,
 }
 
 /// One noise at one ratio.
 #[derive(Clone, Debug, Serialize)]
 pub struct NoiseCondition {
+    /// What is heard beside the speaker.
     pub kind: noise::Kind,
     /// Over speech.
     pub snr_db: f64,
+    /// The candidates that hear the noise.
     pub systems: Vec<NoiseRow>,
 }
 
+/// One candidate in one noise.
 #[derive(Clone, Debug, Serialize)]
 pub struct NoiseRow {
+    /// Name of the candidate.
     pub name: String,
+    /// Mean squared distance a frame.
     pub amse: Interval,
+    /// Mean correlation of the mouth parameters.
     pub acc: Interval,
 }
 
@@ -142,16 +177,20 @@ pub struct NoiseRow {
 pub struct ColdStarts {
     /// Clips that are long enough.
     pub clips: usize,
+    /// Frames after the starts, over all clips.
     pub frames: usize,
+    /// Every candidate that was measured from cold starts.
     pub systems: Vec<cold::Row>,
 }
 
 /// How one system's conversion converges.
 #[derive(Clone, Debug, Serialize)]
 pub struct Convergence {
+    /// Name of the candidate.
     pub name: String,
     /// Over all clips, per iteration, as far as every clip got.
     pub acc: Vec<f64>,
+    /// Mean squared distance a frame, over the same clips and iterations.
     pub amse: Vec<f64>,
     /// Log likelihood a frame, over all clips.
     pub log_likelihood: Vec<f64>,
@@ -161,9 +200,12 @@ pub struct Convergence {
     pub clips: Vec<ClipConvergence>,
 }
 
+/// How the conversion of one clip converges.
 #[derive(Clone, Debug, Serialize)]
 pub struct ClipConvergence {
+    /// Name of the clip.
     pub clip: String,
+    /// Mean correlation of the mouth parameters, per iteration.
     pub acc: Vec<f64>,
     /// A frame.
     pub log_likelihood: Vec<f64>,
@@ -172,15 +214,21 @@ pub struct ClipConvergence {
 /// The first parameter over a clip, 100 a second.
 #[derive(Clone, Debug, Serialize)]
 pub struct Trajectory {
+    /// Name of the clip.
     pub clip: String,
+    /// The words said in it, with spaces between.
     pub words: String,
+    /// The true parameter, one value a frame.
     pub actual: Vec<f32>,
     /// The reference first, then the old way to hold against it.
     pub predicted: Vec<Predicted>,
 }
 
+/// One system's first parameter over a clip.
 #[derive(Clone, Debug, Serialize)]
 pub struct Predicted {
+    /// Name of the candidate.
     pub name: String,
+    /// The predicted parameter, one value a frame.
     pub values: Vec<f32>,
 }

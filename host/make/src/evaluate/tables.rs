@@ -6,9 +6,13 @@ use crate::noise::VOICES;
 
 /// A table with what has to be known to read it.
 pub struct Table {
+    /// Heading of the table.
     pub title: &'static str,
+    /// What has to be known to read it.
     pub note: String,
+    /// Headings of the columns.
     pub header: Vec<String>,
+    /// Cells as text, row by row, each row as long as the header.
     pub rows: Vec<Vec<String>>,
 }
 

@@ -12,6 +12,7 @@ use lipstream_media::files;
 /// What stands over a report: how it was made.
 #[derive(Clone, Debug, Default)]
 pub struct Heading {
+    /// Title of the report.
     pub title: String,
     /// The command, as one would type it.
     pub command: String,
@@ -56,6 +57,7 @@ impl Destination {
         }))
     }
 
+    /// Whether all three forms are written, in a folder.
     pub fn is_folder(&self) -> bool {
         self.0.len() > 1
     }

@@ -21,6 +21,7 @@ use lipstream_media::sound;
 /// One clip.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clip {
+    /// The clip's name in its feature folder.
     pub id: String,
     /// Normalised statics times their scale `[T, 13]`.
     pub x: Array2<f32>,
@@ -34,9 +35,11 @@ pub struct Clip {
 
 /// Everything that training reads.
 pub struct Data {
+    /// Training clips with video.
     pub train: Store,
     /// Clips without video.
     pub heard: Store,
+    /// Clips that choose the pass whose parameters are kept; may be none.
     pub validation: Store,
     /// One over the deviation of each static.
     pub scale: Vec<f32>,

@@ -18,14 +18,18 @@ pub struct Judgement {
     pub ahead: usize,
     /// In the units of the visual features.
     pub score: Score,
+    /// Number of frames scored.
     pub frames: usize,
     /// Frames whose likeliest phone, viseme and viseme state are those of the forced alignment.
     pub phones: usize,
+    /// Frames with the right viseme.
     pub visemes: usize,
+    /// Frames with the right state of the viseme.
     pub visual_states: usize,
 }
 
 impl Judgement {
+    /// `count` as a share of the frames, 0 to 1.
     pub fn share(&self, count: usize) -> f64 {
         count as f64 / self.frames.max(1) as f64
     }

@@ -8,6 +8,7 @@ pub struct Rule {
     pub rate: f32,
     /// Steps until the rate is highest; afterwards it falls as a cosine to 0 at `steps`.
     pub warm_up: usize,
+    /// Steps of the whole run.
     pub steps: usize,
     /// The gradient's length is cut to this.
     pub clip: f32,
@@ -48,11 +49,15 @@ impl Rule {
 /// Everything that a step changes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Optimiser {
+    /// The parameters as the last step left them.
     pub parameters: Parameters,
+    /// Running mean of the gradient, one number a parameter.
     pub first: Vec<f32>,
+    /// Running mean of the squared gradient, one number a parameter.
     pub second: Vec<f32>,
     /// Running mean of the parameters.
     pub mean: Parameters,
+    /// Steps taken so far.
     pub step: usize,
 }
 
@@ -61,6 +66,7 @@ const BETA_2: f32 = 0.99;
 const SMALL: f32 = 1e-8;
 
 impl Optimiser {
+    /// Before the first step: no gradient seen, the running mean at `parameters` themselves.
     pub fn new(parameters: Parameters) -> Self {
         let n = parameters.values.len();
         Self {

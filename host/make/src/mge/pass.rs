@@ -14,7 +14,9 @@ const LOG_GUARD: f32 = 1e-5;
 /// How much the cross-entropy towards the forced alignment counts, per frame (M10).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Entropy {
+    /// Weight for the audio states.
     pub audio: f32,
+    /// Weight for the visual states.
     pub visual: f32,
     /// Of phones and visemes instead of their states.
     pub atoms: bool,
@@ -48,6 +50,7 @@ pub struct Masks {
 
 /// Everything that the reverse pass needs again.
 pub struct Tape {
+    /// Number of frames T.
     pub frames: usize,
     /// Contexts without their mean `[T, C]`.
     pub(super) context: Array2<f32>,
@@ -60,11 +63,13 @@ pub struct Tape {
     pub(super) visual_emission: Vec<f32>,
     /// γ `[T, 5P]`, `[T, 65]`.
     pub audio: Array2<f32>,
+    /// Occupancies of the visual states, `[T, 65]`.
     pub visual: Array2<f32>,
     pub(super) gain: Array2<f32>,
     pub(super) rate: Array2<f32>,
     /// d∘w + r.
     pub(super) target: Array2<f32>,
+    /// The memory h after each frame, `[T, H]`.
     pub memory: Array2<f32>,
     /// ŷ `[T, D]`, standardised.
     pub output: Array2<f32>,

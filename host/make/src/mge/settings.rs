@@ -9,11 +9,17 @@ use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
 /// Choices of a training run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MgeTrainSettings {
+    /// What the model hears around the present frame.
     pub context: Context,
+    /// Numbers that are left of a context after its projection.
     pub inputs: usize,
+    /// Numbers in the memory.
     pub memory: usize,
+    /// What the mouth's last output feeds into the visual emissions.
     pub feedback: Feedback,
+    /// Which chain's states own the gains, drives and offsets.
     pub maps: Gate,
+    /// Which chain's states own the memory's rates: one of the two.
     pub rates: Gate,
     /// Passes over the clips with video.
     pub passes: usize,
@@ -21,10 +27,13 @@ pub struct MgeTrainSettings {
     pub batch: usize,
     /// Frames of a crop, and the share of batches that are crops.
     pub crop: usize,
+    /// Share of batches that are crops, 0 to 1.
     pub crops: f32,
     /// κ_a, κ_v, κ_h.
     pub audio_entropy: f32,
+    /// κ_v: weight of the cross-entropy of visual states, per frame.
     pub visual_entropy: f32,
+    /// κ_h: weight of the cross-entropy in clips without video, per frame.
     pub heard_entropy: f32,
     /// Cross-entropy of phones and visemes instead of their states.
     pub atoms: bool,
@@ -32,19 +41,25 @@ pub struct MgeTrainSettings {
     pub warp: f32,
     /// Deviation of the noise on the statics, per frame and per clip.
     pub frame_noise: f32,
+    /// Deviation of the shift of the statics that is the same all through a clip.
     pub clip_noise: f32,
     /// Share of memory numbers that a clip's mouth, or its visual emissions, do without.
     pub output_dropout: f32,
+    /// Share of the fed-back numbers that a clip's visual emissions do without, 0 to below 1.
     pub feedback_dropout: f32,
     /// Times that every training clip is heard more, disturbed, and the share of pieces that are.
     pub variants: usize,
+    /// Share of pieces that are heard disturbed, 0 to below 1.
     pub disturbed: f32,
     /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
     pub look_aheads: Vec<usize>,
     /// ρ: 0 weighs standardised parameters alike, 2 is the plain squared error.
     pub error_power: f32,
+    /// How a step is taken.
     pub rule: Rule,
+    /// Where the parameters start.
     pub start: StartSettings,
+    /// Seed of everything that is drawn at random.
     pub seed: u64,
     /// So many training clips with video, drawn by the seed; all where `None`.
     pub clips: Option<usize>,

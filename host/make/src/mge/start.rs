@@ -13,8 +13,11 @@ use lipstream::random::fill_normal;
 
 /// One clip for the start: contexts `[T, C]`, states of the alignment, mouth `[T, D]` (standardised) if it has one.
 pub struct Seen {
+    /// Contexts, `[T, C]`.
     pub context: Array2<f32>,
+    /// Audio and visual state of every frame.
     pub states: Vec<(usize, usize)>,
+    /// The mouth, standardised, `[T, D]`; `None` without video.
     pub mouth: Option<Array2<f32>>,
 }
 
@@ -28,7 +31,9 @@ pub struct StartSettings {
     pub emission_scale: f32,
     /// Deviation of the gains around their rest.
     pub gain: f32,
+    /// Deviation around 0 of the drives that the states own.
     pub drive: f32,
+    /// Deviation around 0 of the map from the memory to the mouth.
     pub output: f32,
     /// Logits of the slowest and the fastest rate.
     pub rates: (f32, f32),

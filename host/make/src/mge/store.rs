@@ -12,6 +12,7 @@ use crate::shelf::Shelf;
 /// What is known of a clip without reading it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Note {
+    /// Number of frames of the undisturbed clip.
     pub frames: usize,
     /// First frame and number of frames of each variant.
     pub variants: Vec<(usize, usize)>,
@@ -36,6 +37,7 @@ impl Store {
         })
     }
 
+    /// Puts a clip at the end. An error when it cannot be written.
     pub fn push(&mut self, clip: &Clip) -> Result<()> {
         self.notes.push(Note {
             frames: clip.x.nrows(),
@@ -49,18 +51,22 @@ impl Store {
         self.shelf.push(numbers.copied().chain(states).collect())
     }
 
+    /// Number of clips.
     pub fn len(&self) -> usize {
         self.notes.len()
     }
 
+    /// Whether there is no clip.
     pub fn is_empty(&self) -> bool {
         self.notes.is_empty()
     }
 
+    /// What is known of clip `index`; panics where there is none.
     pub fn note(&self, index: usize) -> &Note {
         &self.notes[index]
     }
 
+    /// Reads clip `index`; panics where there is none. An error when it cannot be read.
     pub fn get(&self, index: usize) -> Result<Clip> {
         let note = &self.notes[index];
         let mut numbers = self.shelf.get(index)?.into_iter();

@@ -142,6 +142,7 @@ pub enum Observed {
     Apart,
     /// [oᵃ; oᵛ] as one observation.
     Stacked,
+    /// Sound only, also where there is a mouth.
     Sound,
 }
 
@@ -154,6 +155,7 @@ pub struct Clips<'a> {
 }
 
 impl<'a> Clips<'a> {
+    /// No clips at all, for a model of these phones.
     pub fn none(phones: &'a [Phone]) -> Self {
         Self {
             clips: Vec::new(),

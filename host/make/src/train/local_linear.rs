@@ -14,6 +14,7 @@ pub struct ContextSums {
 }
 
 impl ContextSums {
+    /// Empty sums for rows of `stacked` numbers.
     pub fn new(stacked: usize) -> Self {
         Self {
             n: 0.0,
@@ -103,6 +104,7 @@ impl Ridge {
 }
 
 impl MapSums {
+    /// Empty sums for contexts of `x` numbers, mouths of `d` parameters and so many visual states.
     pub fn new(x: usize, d: usize, states: usize) -> Self {
         Self {
             all: Ridge::new(x + 1, d),
@@ -128,6 +130,7 @@ impl MapSums {
         }
     }
 
+    /// Adds the sums of other utterances, of the same shape.
     pub fn merge(&mut self, other: &MapSums) {
         self.all.xx += &other.all.xx;
         self.all.xv += &other.all.xv;

@@ -29,6 +29,7 @@ use lipstream::tensors::Tensors;
 /// Choices of a training run.
 #[derive(Clone, Debug)]
 pub struct TrainSettings {
+    /// Kind of model to train.
     pub system: System,
     /// Most components per audio state (or joint state), a power of two.
     pub audio_mixtures: usize,

@@ -124,7 +124,9 @@ pub fn accumulate_files(
 /// How far splitting goes after an M step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Splitting {
+    /// Most components per audio state (or joint state).
     pub audio_mixtures: usize,
+    /// Most components per visual state.
     pub visual_mixtures: usize,
 }
 

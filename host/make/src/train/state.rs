@@ -22,9 +22,13 @@ const KIND: &str = "em state";
 /// Parameters, and what an M step needs beside sums.
 #[derive(Clone, Debug, PartialEq)]
 pub struct State {
+    /// Kind of model that is trained.
     pub system: System,
+    /// What EM re-estimates, as the last pass left it.
     pub parameters: Parameters,
+    /// Floors of the audio densities.
     pub audio_floors: Floors,
+    /// Floors of the visual densities, if there are any.
     pub visual_floors: Option<Floors>,
     /// EM passes that led here.
     pub passes: usize,
@@ -88,6 +92,7 @@ pub(super) fn take_parameters(from: &Tensors, topology: Topology) -> Result<Para
 }
 
 impl State {
+    /// Writes the file that [`State::read`] reads. An error when the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
         out.note("kind", KIND);

@@ -30,6 +30,7 @@ pub struct Origin {
     pub corpus: u32,
     /// 1..=of
     pub shard: usize,
+    /// Number of shards that the corpus is dealt into.
     pub of: usize,
 }
 

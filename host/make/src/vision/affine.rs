@@ -5,6 +5,7 @@
 pub struct Affine(pub [f32; 6]);
 
 impl Affine {
+    /// The map that leaves every point where it is.
     pub const IDENTITY: Affine = Affine([1.0, 0.0, 0.0, 0.0, 1.0, 0.0]);
 
     /// p ↦ scale·p + (x, y).
@@ -12,6 +13,7 @@ impl Affine {
         Affine([scale, 0.0, x, 0.0, scale, y])
     }
 
+    /// Where the point (x, y) goes.
     pub fn apply(&self, x: f32, y: f32) -> (f32, f32) {
         let [a, b, c, d, e, f] = self.0;
         (a * x + b * y + c, d * x + e * y + f)

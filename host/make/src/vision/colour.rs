@@ -7,16 +7,20 @@
 /// What brings one channel to the speaker's: gain·value + offset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChannelMap {
+    /// Factor of the value.
     pub gain: f32,
+    /// What is added after the gain, in grey levels.
     pub offset: f32,
 }
 
 impl ChannelMap {
+    /// The map that leaves every value as it is.
     pub const IDENTITY: ChannelMap = ChannelMap {
         gain: 1.0,
         offset: 0.0,
     };
 
+    /// A value of the clip in the speaker's colours; it is not cut to the range of a pixel.
     pub fn apply(&self, value: f32) -> f32 {
         self.gain * value + self.offset
     }

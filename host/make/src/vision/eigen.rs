@@ -38,6 +38,7 @@ impl MouthSamples {
         self.differences.len() / self.mean.len().max(1)
     }
 
+    /// Whether no image has been added.
     pub fn is_empty(&self) -> bool {
         self.differences.is_empty()
     }

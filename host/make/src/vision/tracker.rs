@@ -23,7 +23,9 @@ const MOST_LOST: f32 = 0.1;
 /// The mouth of every picture of a clip.
 #[derive(Clone, Debug)]
 pub struct MouthTrack {
+    /// Pixels in a row of a mouth image.
     pub width: usize,
+    /// Rows of a mouth image.
     pub height: usize,
     /// `[n, height, width, 3]`, colours brought to the speaker's.
     pub images: Vec<u8>,
@@ -34,6 +36,7 @@ pub struct MouthTrack {
     pub scores: Vec<f32>,
     /// What was done to the frame's colours (red, green, blue).
     pub colour: [ChannelMap; 3],
+    /// Pictures a second.
     pub rate_hz: f32,
 }
 
@@ -43,6 +46,7 @@ impl MouthTrack {
         self.transforms.len()
     }
 
+    /// Whether the clip has no picture.
     pub fn is_empty(&self) -> bool {
         self.transforms.is_empty()
     }

@@ -14,6 +14,7 @@ const PIECE: usize = 16_384;
 /// What an MP4 header says of one mono sound track whose access units lie elsewhere.
 #[derive(Clone, Debug)]
 pub struct Sound {
+    /// Samples a second.
     pub rate_hz: u32,
     /// AudioSpecificConfig, for the container's header.
     pub config: Vec<u8>,
@@ -25,49 +26,96 @@ pub struct Sound {
     pub samples: u64,
 }
 
-/// Encodes mono samples and writes their access units one after the other, nothing between them, to `out`.
-///
-/// # Errors
-///
-/// That the encoder refuses the rate or the samples (there must be one at least), and what `out` says.
-pub fn encode(samples: &[i16], rate_hz: u32, out: &mut dyn Write) -> Result<Sound, EncodeError> {
-    let mut options = syom::EncodeOptions::raw();
-    options.bitrate_bps = BITRATE;
-    options.band_refine = true;
-    options.lookahead = true;
-    let mut encoder =
-        syom::Encoder::new(rate_hz, 1, &options).map_err(|e| EncodeError::SoundRate(e.into()))?;
-    // The encoder's callback cannot say that a disk is full, so units are written between its calls.
-    let (mut sizes, mut bytes) = (Vec::new(), Vec::new());
-    let mut plane = Vec::with_capacity(PIECE);
-    for piece in samples.chunks(PIECE) {
-        plane.clear();
-        plane.extend(piece.iter().map(|&s| f32::from(s) / 32768.0));
-        encoder
-            .feed(&[&plane], |unit| {
-                sizes.push(unit.payload.len() as u32);
-                bytes.extend(unit.payload);
+/// Encodes mono samples and writes their access units one after the other, nothing between them.
+pub struct SoundEncoder {
+    rate_hz: u32,
+    encoder: syom::Encoder,
+    sizes: Vec<u32>,
+    samples: u64,
+    plane: Vec<f32>,
+    /// The encoder's callback cannot say that a disk is full, so units are written between its calls.
+    bytes: Vec<u8>,
+}
+
+impl SoundEncoder {
+    /// An encoder of one channel.
+    ///
+    /// # Errors
+    ///
+    /// That it does not know the rate.
+    pub fn new(rate_hz: u32) -> Result<Self, EncodeError> {
+        let mut options = syom::EncodeOptions::raw();
+        options.bitrate_bps = BITRATE;
+        options.band_refine = true;
+        options.lookahead = true;
+        Ok(Self {
+            rate_hz,
+            encoder: syom::Encoder::new(rate_hz, 1, &options)
+                .map_err(|e| EncodeError::SoundRate(e.into()))?,
+            sizes: Vec::new(),
+            samples: 0,
+            plane: Vec::new(),
+            bytes: Vec::new(),
+        })
+    }
+
+    /// Encodes samples, cut anywhere, and writes the units that are whole to `out`.
+    ///
+    /// # Errors
+    ///
+    /// That the encoder refuses the samples, and what `out` says.
+    pub fn feed(&mut self, samples: &[i16], out: &mut dyn Write) -> Result<(), EncodeError> {
+        for piece in samples.chunks(PIECE) {
+            self.plane.clear();
+            self.plane.extend(piece.iter().map(|&s| f32::from(s) / 32768.0));
+            self.encoder
+                .feed(&[&self.plane], |unit| {
+                    self.sizes.push(unit.payload.len() as u32);
+                    self.bytes.extend(unit.payload);
+                    Ok(())
+                })
+                .map_err(|e| EncodeError::Sound(e.into()))?;
+            self.samples += piece.len() as u64;
+            out.write_all(&self.bytes)?;
+            self.bytes.clear();
+        }
+        Ok(())
+    }
+
+    /// The sound has ended: writes the last units.
+    ///
+    /// # Errors
+    ///
+    /// That there were no samples, and what `out` says.
+    pub fn finish(mut self, out: &mut dyn Write) -> Result<Sound, EncodeError> {
+        let info = self
+            .encoder
+            .finish(|unit| {
+                self.sizes.push(unit.payload.len() as u32);
+                self.bytes.extend(unit.payload);
                 Ok(())
             })
             .map_err(|e| EncodeError::Sound(e.into()))?;
-        out.write_all(&bytes)?;
-        bytes.clear();
-    }
-    let info = encoder
-        .finish(|unit| {
-            sizes.push(unit.payload.len() as u32);
-            bytes.extend(unit.payload);
-            Ok(())
+        out.write_all(&self.bytes)?;
+        Ok(Sound {
+            rate_hz: self.rate_hz,
+            config: self.encoder.asc().to_vec(),
+            sizes: self.sizes,
+            priming: info.priming as u32,
+            samples: self.samples,
         })
-        .map_err(|e| EncodeError::Sound(e.into()))?;
-    out.write_all(&bytes)?;
-    Ok(Sound {
-        rate_hz,
-        config: encoder.asc().to_vec(),
-        sizes,
-        priming: info.priming as u32,
-        samples: samples.len() as u64,
-    })
+    }
+}
+
+/// [`SoundEncoder`] for samples that are all there.
+///
+/// # Errors
+///
+/// As the encoder's.
+pub fn encode(samples: &[i16], rate_hz: u32, out: &mut dyn Write) -> Result<Sound, EncodeError> {
+    let mut encoder = SoundEncoder::new(rate_hz)?;
+    encoder.feed(samples, out)?;
+    encoder.finish(out)
 }
 
 /// ADTS header of one mono 16 kHz AAC-LC unit (ISO/IEC 13818-7).

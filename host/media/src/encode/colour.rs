@@ -3,12 +3,15 @@
 /// One picture, planes of bytes; chroma is halved in both directions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Picture {
+    /// Width in pixels, even.
     pub width: usize,
+    /// Height in pixels, even.
     pub height: usize,
     /// `[height·width]`, 16..235.
     pub y: Vec<u8>,
     /// `[height/2·width/2]`, 16..240.
     pub cb: Vec<u8>,
+    /// `[height/2·width/2]`, 16..240.
     pub cr: Vec<u8>,
 }
 

@@ -17,11 +17,15 @@ pub struct VideoEncoder {
 /// What an MP4 header says of an H.264 track whose encoded pictures lie elsewhere.
 #[derive(Clone, Debug)]
 pub struct Video {
+    /// Width in pixels.
     pub width: u16,
+    /// Height in pixels.
     pub height: u16,
+    /// Pictures a second.
     pub fps: u32,
     /// Sequence and picture parameter sets, without start codes.
     pub sps: Vec<u8>,
+    /// Picture parameter set, without start code.
     pub pps: Vec<u8>,
     /// Bytes of each picture's sample.
     pub sizes: Vec<u32>,

@@ -39,9 +39,11 @@ impl Ffmpeg {
         let (width, height) = (film.width, film.height);
         ffmpeg.args(["-s", &format!("{width}x{height}"), "-r", &film.fps.to_string()]);
         ffmpeg.args(["-i", "-"]);
-        if let Some(samples) = film.sound.filter(|_| !gif) {
+        if let Some(sound) = film.sound.filter(|_| !gif) {
             let wav = aside.path().join("sound.wav");
-            sound::write(&wav, samples)?;
+            let mut writer = sound::Writer::create(&wav)?;
+            sound.each(|samples| writer.write(samples))?;
+            writer.finish()?;
             ffmpeg.arg("-i").arg(wav);
         }
         if gif {

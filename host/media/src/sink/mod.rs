@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use crate::Cause;
 use crate::encode::EncodeError;
 use crate::files::{FileError, aside_error, folder_of};
-use crate::sound::SoundError;
+use crate::sound::{self, SoundError};
 
 mod ffmpeg;
 mod mp4;
@@ -69,11 +69,58 @@ pub enum SinkError {
 pub struct Film<'a> {
     /// Width and height of a picture in pixels.
     pub width: usize,
+    /// Height of a picture in pixels.
     pub height: usize,
     /// Pictures a second.
     pub fps: u32,
-    /// 16 kHz mono; sample 0 is heard when picture 0 is seen. Sinks that hold no sound leave it out.
-    pub sound: Option<&'a [i16]>,
+    /// Sample 0 is heard when picture 0 is seen. Sinks that hold no sound leave it out.
+    pub sound: Option<Soundtrack<'a>>,
+}
+
+/// The sound of a film, which is read from start to end as often as it is needed.
+#[derive(Clone, Copy, Debug)]
+pub enum Soundtrack<'a> {
+    /// 16 kHz mono.
+    Samples(&'a [i16]),
+    /// A sound file, of which only the piece that is at work is in memory.
+    File(&'a Path),
+}
+
+impl Soundtrack<'_> {
+    /// Calls `take` with 16 kHz mono samples, piece by piece, and gives their number.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be read, and what `take` says.
+    pub fn each<E: From<SoundError>>(
+        &self,
+        mut take: impl FnMut(&[i16]) -> Result<(), E>,
+    ) -> Result<usize, E> {
+        match self {
+            Soundtrack::Samples(samples) => {
+                take(samples)?;
+                Ok(samples.len())
+            }
+            Soundtrack::File(path) => {
+                let mut reader = sound::Reader::open(path)?;
+                let mut count = 0;
+                while let Some(piece) = reader.piece()? {
+                    take(piece)?;
+                    count += piece.len();
+                }
+                Ok(count)
+            }
+        }
+    }
+
+    /// Number of samples; reads a file to its end.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be read.
+    pub fn samples(&self) -> Result<usize, SoundError> {
+        self.each(|_| Ok(()))
+    }
 }
 
 /// Where pictures go.
@@ -177,7 +224,7 @@ mod tests {
         // Longer than the pictures, and than one piece of what is encoded at a time.
         let sound: Vec<i16> = (0..40_000).map(|i| (i * 37 % 5000) as i16).collect();
         let film = Film {
-            sound: Some(&sound),
+            sound: Some(Soundtrack::Samples(&sound)),
             ..film()
         };
         let mut file: Box<dyn Sink> = Box::new(Mp4::new(&path, &film).unwrap());

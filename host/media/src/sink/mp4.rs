@@ -25,11 +25,16 @@ impl<S: Read + Write + Seek> Spooled<S> {
     fn new(film: &Film, mut spool: impl FnMut() -> Result<S, SinkError>) -> Result<Self, SinkError> {
         let encoder = h264::VideoEncoder::new(film.width, film.height, film.fps)?;
         let sound = match film.sound {
-            Some(samples) if !samples.is_empty() => {
+            Some(sound) => {
                 let mut units = spool()?;
-                Some((aac::encode(samples, SAMPLE_RATE_HZ, &mut units)?, units))
+                let mut encoder = aac::SoundEncoder::new(SAMPLE_RATE_HZ)?;
+                let samples = sound.each(|samples| Ok::<_, SinkError>(encoder.feed(samples, &mut units)?))?;
+                match samples {
+                    0 => None,
+                    _ => Some((encoder.finish(&mut units)?, units)),
+                }
             }
-            _ => None,
+            None => None,
         };
         Ok(Self {
             encoder,

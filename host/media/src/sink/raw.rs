@@ -7,6 +7,7 @@ use super::{Sink, SinkError};
 pub struct RawFrames<W>(W);
 
 impl<W: Write> RawFrames<W> {
+    /// Pictures go to `to`.
     pub fn new(to: W) -> Self {
         Self(to)
     }

@@ -1,58 +1,73 @@
 //! FLAC through claxon, which checks every frame's CRC.
 use claxon::{Block, FlacReader};
 
-use super::{Decoded, Result, damaged, library};
+use super::input::Input;
+use super::{Decode, Result, damaged, library};
 
-/// Decodes a whole FLAC file.
-pub(super) fn decode(bytes: &[u8]) -> Result<Decoded> {
-    let mut reader = FlacReader::new(bytes).map_err(library("damaged FLAC header"))?;
-    let info = reader.streaminfo();
-    let channels = info.channels as usize;
-    let scale = 2f64.powi(1 - info.bits_per_sample as i32) / channels as f64;
-    let mut samples = Vec::new();
-    let mut frames = reader.blocks();
-    let mut block = Block::empty();
-    loop {
-        let next = frames.read_next_or_eof(block.into_buffer());
-        let Some(read) = next.map_err(|e| {
+/// A FLAC file whose frames come next.
+pub(super) struct Flac<'a> {
+    reader: FlacReader<Input<'a>>,
+    /// Samples decoded so far.
+    decoded: u64,
+    buffer: Vec<i32>,
+}
+
+impl<'a> Flac<'a> {
+    pub(super) fn open(input: Input<'a>) -> Result<Self> {
+        Ok(Self {
+            reader: FlacReader::new(input).map_err(library("damaged FLAC header"))?,
+            decoded: 0,
+            buffer: Vec::new(),
+        })
+    }
+}
+
+impl Decode for Flac<'_> {
+    fn rate_hz(&self) -> u32 {
+        self.reader.streaminfo().sample_rate
+    }
+
+    fn channels(&self) -> usize {
+        self.reader.streaminfo().channels as usize
+    }
+
+    fn next(&mut self, out: &mut Vec<f64>) -> Result<bool> {
+        let info = self.reader.streaminfo();
+        let channels = info.channels;
+        let scale = 2f64.powi(1 - info.bits_per_sample as i32) / f64::from(channels);
+        let buffer = std::mem::take(&mut self.buffer);
+        let next: Option<Block> = self.reader.blocks().read_next_or_eof(buffer).map_err(|e| {
             library(format!(
                 "damaged or cut short after {} samples{}",
-                samples.len(),
+                self.decoded,
                 of(info.samples)
             ))(e)
-        })?
-        else {
-            break;
+        })?;
+        let Some(block) = next else {
+            if info.samples.is_some_and(|promised| promised != self.decoded) {
+                return damaged(format!(
+                    "the FLAC header promises{} samples, the file has {}: it is cut short, or the header lies",
+                    of(info.samples).trim_start_matches(" of"),
+                    self.decoded
+                ));
+            }
+            return Ok(false);
         };
-        block = read;
-        if block.channels() as usize != channels {
+        if block.channels() != channels {
             return damaged(format!(
-                "{} channels turn into {} after {} samples",
-                channels,
+                "{channels} channels turn into {} after {} samples",
                 block.channels(),
-                samples.len()
+                self.decoded
             ));
         }
-        samples.extend((0..block.duration()).map(|n| {
-            let sum: f64 = (0..info.channels).map(|c| f64::from(block.sample(c, n))).sum();
+        self.decoded += u64::from(block.duration());
+        out.extend((0..block.duration()).map(|n| {
+            let sum: f64 = (0..channels).map(|c| f64::from(block.sample(c, n))).sum();
             sum * scale
         }));
+        self.buffer = block.into_buffer();
+        Ok(true)
     }
-    if info
-        .samples
-        .is_some_and(|promised| promised != samples.len() as u64)
-    {
-        return damaged(format!(
-            "the FLAC header promises{} samples, the file has {}: it is cut short, or the header lies",
-            of(info.samples).trim_start_matches(" of"),
-            samples.len()
-        ));
-    }
-    Ok(Decoded {
-        samples,
-        rate_hz: info.sample_rate,
-        channels,
-    })
 }
 
 /// " of N" where the header says how many samples there are.

@@ -5,14 +5,21 @@
 //!
 //! Channels are averaged; other rates are resampled (rubato's synchronous FFT resampler, which trims its own
 //! delay, so that time 0 stays time 0). A 16 kHz mono 16-bit file passes unchanged, bit for bit.
-use std::io::Read;
-use std::path::{Path, PathBuf};
+//!
+//! [`Reader`] gives a sound piece by piece as it comes and keeps no more of it than a decoder needs; [`read`] and [`decode`] collect it.
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
 
 mod flac;
+mod input;
 mod mp3;
 mod ogg;
 mod resample;
 mod wav;
+
+use input::Input;
+use resample::To16Khz;
 
 use crate::Cause;
 use crate::files::{self, FileError};
@@ -22,11 +29,14 @@ use crate::files::{self, FileError};
 #[non_exhaustive]
 pub enum SoundError {
     /// The file that holds the sound: `source` says what is wrong with it.
-    #[error("cannot read {} as sound", path.display())]
-    In { path: PathBuf, source: Box<SoundError> },
+    #[error("cannot read {name} as sound")]
+    In { name: String, source: Box<SoundError> },
     /// The file cannot be read or written at all.
     #[error(transparent)]
     File(#[from] FileError),
+    /// What it comes from cannot be read on.
+    #[error("it cannot be read to its end")]
+    Io(#[from] io::Error),
     /// There is not a byte.
     #[error("the file is empty")]
     Empty,
@@ -90,20 +100,166 @@ impl Sound {
     }
 }
 
-/// What a decoder gives: all channels averaged, full scale ±1, at the file's own rate.
-struct Decoded {
-    samples: Vec<f64>,
-    rate_hz: u32,
-    channels: usize,
+/// A sound that is read piece by piece.
+///
+/// ```no_run
+/// # fn hear(_samples: &[i16]) {}
+/// let mut sound = lipstream_media::sound::Reader::open("speech.flac".as_ref())?;
+/// while let Some(samples) = sound.piece()? {
+///     hear(samples); // 16 kHz mono, some tenths of a second
+/// }
+/// # Ok::<(), lipstream_media::sound::SoundError>(())
+/// ```
+pub struct Reader<'a> {
+    name: String,
+    decoder: Box<dyn Decode + 'a>,
+    to_16_khz: To16Khz,
+    /// Whether a sample has come.
+    any: bool,
+    /// Whether the last piece has been given.
+    ended: bool,
+    decoded: Vec<f64>,
+    resampled: Vec<f64>,
+    samples: Vec<i16>,
 }
 
-/// Reads a sound file. The error is one line that names the file, what is wrong, and what to do.
-pub fn read(path: &Path) -> Result<Sound> {
-    let bytes = files::read_bytes(path)?;
-    decode(&bytes).map_err(|source| SoundError::In {
-        path: path.to_owned(),
+/// Decodes one kind of file, piece by piece.
+trait Decode: Send {
+    /// Samples a second of the file.
+    fn rate_hz(&self) -> u32;
+
+    /// Channels of the file.
+    fn channels(&self) -> usize;
+
+    /// Appends the next piece, all channels averaged, full scale ±1; false when the sound has ended, and the file is whole.
+    fn next(&mut self, out: &mut Vec<f64>) -> Result<bool>;
+}
+
+impl Reader<'static> {
+    /// Opens a sound file.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be read, or does not begin like a sound that is read here. The error names the file.
+    pub fn open(path: &Path) -> Result<Self> {
+        let unread = |source| FileError::Read {
+            path: path.to_owned(),
+            source,
+        };
+        let file = File::open(path).map_err(unread)?;
+        let about = file.metadata().map_err(unread)?;
+        let length = about.is_file().then_some(about.len());
+        let mut input = Input::new(Box::new(file), length);
+        // What a disk or a folder refuses shows here.
+        input.peek(1).map_err(unread)?;
+        let name = path.display().to_string();
+        Self::of_input(&name, input).map_err(in_file(&name))
+    }
+
+    /// Reads a sound as it comes, from a pipe for instance; errors call it `name`.
+    ///
+    /// # Errors
+    ///
+    /// That it does not begin like a sound that is read here.
+    pub fn of_stream(name: &str, stream: impl Read + Send + 'static) -> Result<Self> {
+        Self::of_input(name, Input::new(Box::new(stream), None)).map_err(in_file(name))
+    }
+}
+
+impl<'a> Reader<'a> {
+    fn of_input(name: &str, mut input: Input<'a>) -> Result<Self> {
+        if input.peek(1)?.is_empty() {
+            return Err(SoundError::Empty);
+        }
+        let decoder: Box<dyn Decode + 'a> = match Kind::of(&mut input)? {
+            Kind::Wav => Box::new(wav::Wav::open(input)?),
+            Kind::Flac => Box::new(flac::Flac::open(input)?),
+            Kind::Ogg => Box::new(ogg::Vorbis::open(input)?),
+            Kind::Mp3 => Box::new(mp3::Mp3::open(input)?),
+        };
+        let rate_hz = decoder.rate_hz();
+        if !RATES_HZ.contains(&rate_hz) {
+            return Err(SoundError::Rate { rate_hz });
+        }
+        Ok(Self {
+            name: name.to_owned(),
+            to_16_khz: To16Khz::new(rate_hz)?,
+            decoder,
+            any: false,
+            ended: false,
+            decoded: Vec::new(),
+            resampled: Vec::new(),
+            samples: Vec::new(),
+        })
+    }
+
+    /// Rate of the file.
+    pub fn source_rate_hz(&self) -> u32 {
+        self.decoder.rate_hz()
+    }
+
+    /// Channels of the file.
+    pub fn source_channels(&self) -> usize {
+        self.decoder.channels()
+    }
+
+    /// The next samples, 16 kHz mono, at least one; None when the sound has ended. Pieces are as long as the decoder makes them.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with the file, which it names. What came before was read rightly.
+    pub fn piece(&mut self) -> Result<Option<&[i16]>> {
+        self.resampled.clear();
+        while self.resampled.is_empty() && !self.ended {
+            self.decode().map_err(in_file(&self.name))?;
+        }
+        self.samples.clear();
+        self.samples.extend(self.resampled.iter().copied().map(to_i16));
+        Ok((!self.samples.is_empty()).then_some(&self.samples))
+    }
+
+    fn decode(&mut self) -> Result<()> {
+        self.decoded.clear();
+        if self.decoder.next(&mut self.decoded)? {
+            self.any |= !self.decoded.is_empty();
+            return self.to_16_khz.push(&self.decoded, &mut self.resampled);
+        }
+        if !self.any {
+            return Err(SoundError::NoSamples);
+        }
+        self.ended = true;
+        self.to_16_khz.finish(&mut self.resampled)
+    }
+
+    /// Everything that is still to come.
+    fn rest(mut self) -> Result<Sound> {
+        let mut samples = Vec::new();
+        while let Some(piece) = self.piece()? {
+            samples.extend(piece);
+        }
+        Ok(Sound {
+            samples,
+            source_rate_hz: self.source_rate_hz(),
+            source_channels: self.source_channels(),
+        })
+    }
+}
+
+/// Says in which file something is wrong.
+fn in_file(name: &str) -> impl FnOnce(SoundError) -> SoundError {
+    |source| SoundError::In {
+        name: name.to_owned(),
         source: Box::new(source),
-    })
+    }
+}
+
+/// Reads a whole sound file. The error is one line that names the file, what is wrong, and what to do.
+///
+/// # Errors
+///
+/// As [`Reader`]'s.
+pub fn read(path: &Path) -> Result<Sound> {
+    Reader::open(path)?.rest()
 }
 
 /// A kind of file, after its first bytes.
@@ -114,57 +270,64 @@ enum Kind {
     Mp3,
 }
 
+/// Bytes in which a file without a signature shows what it is: MP3's frames must follow each other.
+const START: usize = 16_384;
+
 impl Kind {
-    fn of(bytes: &[u8]) -> Option<Kind> {
+    fn signed(bytes: &[u8]) -> Option<Kind> {
         Some(match bytes {
             [b'R', b'I', b'F', b'F', ..] => Kind::Wav,
             [b'f', b'L', b'a', b'C', ..] => Kind::Flac,
             [b'O', b'g', b'g', b'S', ..] => Kind::Ogg,
-            _ if mp3::detect(bytes) => Kind::Mp3,
             _ => return None,
         })
+    }
+
+    /// What follows, after a tag before it, which is passed over.
+    fn of(input: &mut Input) -> Result<Kind> {
+        let tag = nanomp3::id3v2_len(input.peek(10)?) as u64;
+        let there = input.length().unwrap_or(tag).min(tag);
+        if there < tag || input.skip(tag)? < tag {
+            return damaged(format!(
+                "its ID3 tag promises {tag} bytes, the file has {}: it is cut short",
+                input.length().unwrap_or(input.at())
+            ));
+        }
+        // As little as is enough is looked at, because a pipe may give no more for a while.
+        if let Some(kind) = Kind::signed(input.peek(4)?) {
+            return Ok(kind);
+        }
+        match tag > 0 || mp3::detect(input.peek(START)?) {
+            true => Ok(Kind::Mp3),
+            false => Err(SoundError::Unknown),
+        }
     }
 }
 
 /// Whether a file begins like those that [`read`] can read. True of one that can't be opened, so that `read` says why.
 pub fn knows(path: &Path) -> bool {
-    // MP3 has no signature: several frames must follow each other.
-    let mut start = Vec::new();
-    let opened = std::fs::File::open(path);
-    match opened.and_then(|file| file.take(16_384).read_to_end(&mut start)) {
-        Ok(_) => match Kind::of(&start) {
-            Some(Kind::Ogg) => ogg::codec(&start) == ogg::VORBIS,
-            kind => kind.is_some(),
-        },
-        Err(_) => true,
+    let Ok(file) = File::open(path) else { return true };
+    let mut input = Input::new(Box::new(file), None);
+    match Kind::of(&mut input) {
+        Ok(Kind::Ogg) => input
+            .peek(START)
+            .is_ok_and(|start| ogg::codec(start) == ogg::VORBIS),
+        Ok(_) | Err(SoundError::Io(_)) => true,
+        Err(_) => false,
     }
 }
 
 /// [`read`] for a file that is in memory already.
+///
+/// # Errors
+///
+/// As [`read`]'s, without the file's name.
 pub fn decode(bytes: &[u8]) -> Result<Sound> {
-    if bytes.is_empty() {
-        return Err(SoundError::Empty);
-    }
-    let decoded = match Kind::of(bytes) {
-        Some(Kind::Wav) => wav::decode(bytes)?,
-        Some(Kind::Flac) => flac::decode(bytes)?,
-        Some(Kind::Ogg) => ogg::decode(bytes)?,
-        Some(Kind::Mp3) => mp3::decode(bytes)?,
-        None => return Err(SoundError::Unknown),
-    };
-    if !RATES_HZ.contains(&decoded.rate_hz) {
-        return Err(SoundError::Rate {
-            rate_hz: decoded.rate_hz,
-        });
-    }
-    if decoded.samples.is_empty() {
-        return Err(SoundError::NoSamples);
-    }
-    let at_16_khz = resample::to_16_khz(decoded.samples, decoded.rate_hz)?;
-    Ok(Sound {
-        samples: at_16_khz.into_iter().map(to_i16).collect(),
-        source_rate_hz: decoded.rate_hz,
-        source_channels: decoded.channels,
+    let input = Input::new(Box::new(bytes), Some(bytes.len() as u64));
+    let said = Reader::of_input("", input).and_then(Reader::rest);
+    said.map_err(|error| match error {
+        SoundError::In { source, .. } => *source,
+        other => other,
     })
 }
 
@@ -173,24 +336,66 @@ fn to_i16(x: f64) -> i16 {
     (x * 32768.0).round_ties_even() as i16 // `as` saturates
 }
 
-/// Averages interleaved channels.
-fn mix_down(interleaved: &[f64], channels: usize) -> Vec<f64> {
-    interleaved
-        .chunks_exact(channels)
-        .map(|frame| frame.iter().sum::<f64>() / channels as f64)
-        .collect()
+/// Appends the average of interleaved channels.
+fn mix_down(interleaved: &[f64], channels: usize, out: &mut Vec<f64>) {
+    out.extend(
+        interleaved
+            .chunks_exact(channels)
+            .map(|frame| frame.iter().sum::<f64>() / channels as f64),
+    );
 }
 
+/// A WAV file of 16 bits, 16 kHz mono, that is written piece by piece.
+pub struct Writer(hound::WavWriter<io::BufWriter<File>>);
+
+impl Writer {
+    /// Makes or overwrites `path`, which is whole after [`Writer::finish`].
+    ///
+    /// # Errors
+    ///
+    /// What the disk says.
+    pub fn create(path: &Path) -> Result<Self> {
+        Ok(Self(hound::WavWriter::create(path, SPEC)?))
+    }
+
+    /// Appends samples.
+    ///
+    /// # Errors
+    ///
+    /// What the disk says.
+    pub fn write(&mut self, samples: &[i16]) -> Result<()> {
+        for sample in samples {
+            self.0.write_sample(*sample)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the header's lengths.
+    ///
+    /// # Errors
+    ///
+    /// What the disk says.
+    pub fn finish(self) -> Result<()> {
+        Ok(self.0.finalize()?)
+    }
+}
+
+/// What is written.
+const SPEC: hound::WavSpec = hound::WavSpec {
+    channels: 1,
+    sample_rate: lipstream_core::SAMPLE_RATE_HZ,
+    bits_per_sample: 16,
+    sample_format: hound::SampleFormat::Int,
+};
+
 /// Writes 16 kHz mono samples as a WAV file of 16 bits, whole or not at all.
+///
+/// # Errors
+///
+/// What the disk says.
 pub fn write(path: &Path, samples: &[i16]) -> Result<()> {
-    let spec = hound::WavSpec {
-        channels: 1,
-        sample_rate: lipstream_core::SAMPLE_RATE_HZ,
-        bits_per_sample: 16,
-        sample_format: hound::SampleFormat::Int,
-    };
-    let mut bytes = std::io::Cursor::new(Vec::with_capacity(samples.len() * 2 + 64));
-    let mut writer = hound::WavWriter::new(&mut bytes, spec)?;
+    let mut bytes = io::Cursor::new(Vec::with_capacity(samples.len() * 2 + 64));
+    let mut writer = hound::WavWriter::new(&mut bytes, SPEC)?;
     for sample in samples {
         writer.write_sample(*sample)?;
     }

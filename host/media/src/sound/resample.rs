@@ -1,6 +1,6 @@
-//! Any rate to 16 kHz.
+//! Any rate to 16 kHz, piece by piece.
 use audioadapter_buffers::owned::InterleavedOwned;
-use rubato::{Fft, FixedSync, Resampler};
+use rubato::{Fft, FixedSync, Indexing, Resampler as _};
 
 use super::{Result, library};
 
@@ -9,7 +9,7 @@ const LEAST_CHUNK: usize = 1024;
 
 /// Samples a block: whole periods of the rate pair, and an even number of them, because the resampler's filter
 /// is centred on half a block and an odd one would come out up to a sample early.
-fn chunk(rate_hz: u32) -> usize {
+pub(super) fn chunk(rate_hz: u32) -> usize {
     let (mut a, mut b) = (rate_hz, lipstream_core::SAMPLE_RATE_HZ);
     while b > 0 {
         (a, b) = (b, a % b);
@@ -19,22 +19,101 @@ fn chunk(rate_hz: u32) -> usize {
 }
 
 /// Resamples one channel to 16 kHz; n samples become ⌈n·16000/rate⌉, time 0 stays time 0.
-pub(super) fn to_16_khz(samples: Vec<f64>, rate_hz: u32) -> Result<Vec<f64>> {
-    if rate_hz == lipstream_core::SAMPLE_RATE_HZ {
-        return Ok(samples);
-    }
-    let length = samples.len();
-    let input = InterleavedOwned::new_from(samples, 1, length).map_err(library("cannot resample"))?;
-    let mut resampler = Fft::<f64>::new(
-        rate_hz as usize,
-        lipstream_core::SAMPLE_RATE_HZ as usize,
-        chunk(rate_hz),
-        1,
-        FixedSync::Both,
-    )
-    .map_err(library(format!("cannot resample {rate_hz} Hz")))?;
-    let output = resampler
-        .process_all(&input, length, None)
+pub(super) struct To16Khz {
+    rate_hz: u32,
+    /// None where the rate is 16 kHz already.
+    fft: Option<Box<Blocks>>,
+}
+
+/// A resampler that takes whole blocks.
+struct Blocks {
+    fft: Fft<f64>,
+    /// Samples that fill no block yet.
+    waiting: Vec<f64>,
+    /// Samples of the output that are still to be left out: the filter's delay.
+    trim: usize,
+    taken: u64,
+    given: u64,
+}
+
+impl To16Khz {
+    pub(super) fn new(rate_hz: u32) -> Result<Self> {
+        if rate_hz == lipstream_core::SAMPLE_RATE_HZ {
+            return Ok(Self { rate_hz, fft: None });
+        }
+        let fft = Fft::<f64>::new(
+            rate_hz as usize,
+            lipstream_core::SAMPLE_RATE_HZ as usize,
+            chunk(rate_hz),
+            1,
+            FixedSync::Both,
+        )
         .map_err(library(format!("cannot resample {rate_hz} Hz")))?;
-    Ok(output.take_data())
+        Ok(Self {
+            rate_hz,
+            fft: Some(Box::new(Blocks {
+                trim: fft.output_delay(),
+                fft,
+                waiting: Vec::new(),
+                taken: 0,
+                given: 0,
+            })),
+        })
+    }
+
+    /// Takes `samples`, cut anywhere, and appends what they bring out.
+    pub(super) fn push(&mut self, samples: &[f64], out: &mut Vec<f64>) -> Result<()> {
+        let Some(blocks) = &mut self.fft else {
+            out.extend(samples);
+            return Ok(());
+        };
+        blocks.taken += samples.len() as u64;
+        blocks.waiting.extend(samples);
+        let mut rest = std::mem::take(&mut blocks.waiting);
+        let block = blocks.fft.input_frames_next();
+        let whole = rest.len() / block * block;
+        for block in rest[..whole].chunks_exact(block) {
+            blocks.block(block, self.rate_hz, out)?;
+        }
+        rest.drain(..whole);
+        blocks.waiting = rest;
+        Ok(())
+    }
+
+    /// The sound has ended: appends what is still owed.
+    pub(super) fn finish(&mut self, out: &mut Vec<f64>) -> Result<()> {
+        let Some(blocks) = &mut self.fft else {
+            return Ok(());
+        };
+        let all = (blocks.fft.resample_ratio() * blocks.taken as f64).ceil() as u64;
+        let mut last = std::mem::take(&mut blocks.waiting);
+        let before = out.len();
+        let owed = all.saturating_sub(blocks.given) as usize;
+        while out.len() - before < owed {
+            last.resize(blocks.fft.input_frames_next(), 0.0);
+            blocks.block(&last, self.rate_hz, out)?;
+            last.clear();
+        }
+        out.truncate(before + owed);
+        Ok(())
+    }
+}
+
+impl Blocks {
+    fn block(&mut self, samples: &[f64], rate_hz: u32, out: &mut Vec<f64>) -> Result<()> {
+        let failed = || library(format!("cannot resample {rate_hz} Hz"));
+        let input = InterleavedOwned::new_from(samples.to_vec(), 1, samples.len())
+            .map_err(library(format!("cannot resample {rate_hz} Hz")))?;
+        let mut output = InterleavedOwned::new(0.0, 1, self.fft.output_frames_max());
+        let (_, given) = self
+            .fft
+            .process_into_buffer(&input, &mut output, None::<&Indexing>)
+            .map_err(failed())?;
+        let output = output.take_data();
+        let late = self.trim.min(given);
+        self.trim -= late;
+        self.given += (given - late) as u64;
+        out.extend(&output[late..given]);
+        Ok(())
+    }
 }

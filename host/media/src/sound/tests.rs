@@ -106,3 +106,30 @@ fn bad_files_get_one_clear_line() {
     assert!(error_of(&nan).contains("sample 1 is not a finite number"));
     assert!(error_of(&wav(4_000, 1, 16, SampleFormat::Int, &[1i16])).contains("4000 Hz"));
 }
+
+/// Whole blocks of zeros at the end, and none: the pieces are what the resampler makes of the whole.
+#[test]
+fn pieces_are_resampled_like_the_whole() {
+    use rubato::Resampler as _;
+    for rate in [8_000u32, 11_025, 22_050, 44_100, 48_000, 96_000] {
+        for length in [1usize, 100, 1024, 2048, 5000, 44_100] {
+            let samples: Vec<f64> = (0..length).map(|n| (n as f64 * 0.37).sin() * 0.3).collect();
+            let (mut to_16_khz, mut pieces) = (To16Khz::new(rate).unwrap(), Vec::new());
+            for piece in samples.chunks(777) {
+                to_16_khz.push(piece, &mut pieces).unwrap();
+            }
+            to_16_khz.finish(&mut pieces).unwrap();
+            let mut fft = rubato::Fft::<f64>::new(
+                rate as usize,
+                16_000,
+                resample::chunk(rate),
+                1,
+                rubato::FixedSync::Both,
+            )
+            .unwrap();
+            let input = audioadapter_buffers::owned::InterleavedOwned::new_from(samples, 1, length).unwrap();
+            let whole = fft.process_all(&input, length, None).unwrap().take_data();
+            assert_eq!(pieces, whole, "{rate} Hz, {length} samples");
+        }
+    }
+}

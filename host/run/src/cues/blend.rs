@@ -1,12 +1,11 @@
 //! Viseme weights as weights of the Oculus lip-sync set (15 visemes) and of ARKit's 52 blend shapes, as CSV with one
 //! row every 10 ms.
-use std::fmt::Write as _;
-
-use anyhow::Result;
-use ndarray::ArrayView2;
+use std::io::{self, Write};
 
 use super::check;
+use crate::out::Numbers;
 use crate::phones::VISEMES;
+use crate::session::Frame;
 use crate::time::frame_seconds;
 
 /// The Oculus lip-sync visemes, in their order.
@@ -138,57 +137,87 @@ const TO_ARKIT: [&[(&str, f32)]; VISEMES.len()] = [
     &[("jawOpen", 0.2), ("mouthPucker", 0.15), ("mouthLowerDown", 0.15)],
 ];
 
-/// Oculus visemes of viseme weights `[frames, 13]` at 100 Hz.
-pub fn oculus_csv(weights: ArrayView2<f32>) -> Result<String> {
-    let rows = TO_OCULUS.map(|shares| {
-        let mut row = [0.0; OCULUS.len()];
-        for &(k, share) in shares {
-            row[k] = share;
-        }
-        row
-    });
-    table(weights, &OCULUS, &rows)
+/// A set of shapes whose weights an animation program blends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum BlendSet {
+    /// The 15 visemes of Oculus lip sync, [`OCULUS`].
+    Oculus,
+    /// The 52 blend shapes of ARKit, [`ARKIT`].
+    Arkit,
 }
 
-/// ARKit blend shapes of viseme weights `[frames, 13]` at 100 Hz.
-pub fn arkit_csv(weights: ArrayView2<f32>) -> Result<String> {
-    let rows = TO_ARKIT.map(|effects| {
-        let mut row = [0.0; ARKIT.len()];
-        for &(name, amount) in effects {
-            for (k, shape) in ARKIT.iter().enumerate() {
-                let side = shape.strip_prefix(name);
-                if matches!(side, Some("" | "Left" | "Right")) {
-                    row[k] = amount;
+impl BlendSet {
+    /// Names of the shapes, in their order.
+    pub fn names(self) -> &'static [&'static str] {
+        match self {
+            BlendSet::Oculus => &OCULUS,
+            BlendSet::Arkit => &ARKIT,
+        }
+    }
+
+    /// Writes a header, then one row a frame: seconds of its centre, and the weight of each shape, 0 to 1.
+    ///
+    /// # Errors
+    ///
+    /// What `to` says.
+    pub fn write<'w>(self, mut to: impl Write + 'w) -> io::Result<Box<dyn Numbers + 'w>> {
+        writeln!(to, "time,{}", self.names().join(","))?;
+        Ok(Box::new(Csv {
+            to,
+            rows: self.rows(),
+        }))
+    }
+
+    /// Weight of every shape, for a weight of 1 of each viseme.
+    fn rows(self) -> [Vec<f32>; VISEMES.len()] {
+        let shapes = self.names().len();
+        match self {
+            BlendSet::Oculus => TO_OCULUS.map(|shares| {
+                let mut row = vec![0.0; shapes];
+                for &(k, share) in shares {
+                    row[k] = share;
                 }
-            }
+                row
+            }),
+            BlendSet::Arkit => TO_ARKIT.map(|effects| {
+                let mut row = vec![0.0; shapes];
+                for &(name, amount) in effects {
+                    for (k, shape) in ARKIT.iter().enumerate() {
+                        if matches!(shape.strip_prefix(name), Some("" | "Left" | "Right")) {
+                            row[k] = amount;
+                        }
+                    }
+                }
+                row
+            }),
         }
-        row
-    });
-    table(weights, &ARKIT, &rows)
+    }
 }
 
-/// Header, then one row a frame: seconds of its centre and weights · rows.
-fn table<const N: usize>(
-    weights: ArrayView2<f32>,
-    names: &[&str; N],
-    rows: &[[f32; N]; VISEMES.len()],
-) -> Result<String> {
-    check(weights)?;
-    let mut out = format!("time,{}\n", names.join(","));
-    for (t, frame) in weights.outer_iter().enumerate() {
-        let mut sums = [0.0f32; N];
-        for (&w, row) in frame.iter().zip(rows) {
+struct Csv<W> {
+    to: W,
+    rows: [Vec<f32>; VISEMES.len()],
+}
+
+impl<W: Write> Numbers for Csv<W> {
+    fn frame(&mut self, frame: &Frame) -> io::Result<()> {
+        check(frame.visemes, frame.index).map_err(io::Error::other)?;
+        let mut sums = vec![0.0f32; self.rows[0].len()];
+        for (&w, row) in frame.visemes.iter().zip(&self.rows) {
             for (sum, share) in sums.iter_mut().zip(row) {
                 *sum += w * share;
             }
         }
-        let _ = write!(out, "{:.4}", frame_seconds(t));
+        write!(self.to, "{:.4}", frame_seconds(frame.index))?;
         for sum in sums {
-            let _ = write!(out, ",{:.3}", sum.clamp(0.0, 1.0));
+            write!(self.to, ",{:.3}", sum.clamp(0.0, 1.0))?;
         }
-        out.push('\n');
+        writeln!(self.to)
     }
-    Ok(out)
+
+    fn finish(mut self: Box<Self>) -> io::Result<()> {
+        self.to.flush()
+    }
 }
 
 #[cfg(test)]

@@ -9,13 +9,18 @@ const DAT_FPS: f64 = 24.0;
 /// A format of cue files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
+    /// Rows of start time and shape, separated by tabs.
     Tsv,
+    /// Rhubarb's XML.
     Xml,
+    /// Rhubarb's JSON.
     Json,
+    /// A switch layer of Moho, by pictures at 24 a second.
     Dat,
 }
 
 impl Format {
+    /// Every format.
     pub const ALL: [Format; 4] = [Format::Tsv, Format::Xml, Format::Json, Format::Dat];
 
     /// The file ending, lower case.

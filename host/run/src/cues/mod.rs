@@ -12,8 +12,7 @@
 //! | G | teeth on the lip | ld (f v) |
 //! | H | tongue raised | as (l r y) |
 //! | X | rest | sip |
-use anyhow::{Result, bail};
-use ndarray::{ArrayView1, ArrayView2};
+use ndarray::ArrayView2;
 
 use crate::phones::VISEMES;
 use crate::time::border_seconds;
@@ -21,20 +20,29 @@ use crate::time::border_seconds;
 mod blend;
 mod formats;
 
-pub use blend::{ARKIT, OCULUS, arkit_csv, oculus_csv};
+pub use blend::{ARKIT, BlendSet, OCULUS};
 pub use formats::{Format, write};
 
 /// A mouth shape of Rhubarb Lip Sync (the six of Preston Blair's tradition, and G, H, X).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Shape {
+    /// Lips closed: p, b, m.
     A,
+    /// Slightly open with the teeth together: most consonants, and "ee".
     B,
+    /// Open, as in "men".
     C,
+    /// Wide open, as in "father".
     D,
+    /// Between D and F: open and rounded.
     E,
+    /// Lips puckered, as in "who".
     F,
+    /// Upper teeth on the lower lip: f, v.
     G,
+    /// Tongue raised: l, r, y.
     H,
+    /// At rest: silence.
     X,
 }
 
@@ -68,6 +76,7 @@ const SHAPE_OF_VISEME: [Shape; VISEMES.len()] = [
 ];
 
 impl Shape {
+    /// The capital letter that stands for the shape in cue files.
     pub fn letter(self) -> char {
         match self {
             Shape::A => 'A',
@@ -86,8 +95,11 @@ impl Shape {
 /// The mouth has one shape from `start_s` to `end_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cue {
+    /// Start in seconds of the sound.
     pub start_s: f64,
+    /// End in seconds of the sound.
     pub end_s: f64,
+    /// What the mouth shows meanwhile.
     pub shape: Shape,
 }
 
@@ -100,54 +112,129 @@ const CLOSING_COST: f32 = 2.0;
 const FLOOR: f32 = 1e-3;
 
 /// The likeliest sequence of shapes for viseme weights `[frames, 13]` at 100 Hz, from 0 to `duration_s`.
-pub fn cues(weights: ArrayView2<f32>, duration_s: f64) -> Result<Vec<Cue>> {
-    check(weights)?;
-    let frames = weights.nrows();
-    let path = likeliest(&weights.outer_iter().map(shape_weights).collect::<Vec<_>>());
-    let mut cues: Vec<Cue> = Vec::new();
-    for (t, &shape) in path.iter().enumerate() {
-        match cues.last_mut() {
-            Some(last) if last.shape == shape => {}
-            last => {
-                let start_s = if t == 0 { 0.0 } else { border_seconds(t) };
-                if let Some(last) = last {
-                    last.end_s = start_s;
-                }
-                cues.push(Cue {
-                    start_s,
-                    end_s: border_seconds(frames),
-                    shape,
-                });
-            }
-        }
+///
+/// # Errors
+///
+/// [`CueError`]: there is no frame, or weights are not what they should be.
+pub fn cues(weights: ArrayView2<f32>, duration_s: f64) -> Result<Vec<Cue>, CueError> {
+    let mut shapes = Shapes::default();
+    for frame in weights.outer_iter() {
+        shapes.push(&frame.to_vec())?;
     }
-    // The sound ends somewhere in the last window.
-    cues.retain(|cue| cue.start_s < duration_s);
-    if let Some(last) = cues.last_mut() {
-        last.end_s = duration_s;
-    }
-    Ok(cues)
+    shapes.finish(duration_s)
 }
 
-fn check(weights: ArrayView2<f32>) -> Result<()> {
-    if weights.ncols() != VISEMES.len() {
-        bail!(
-            "viseme weights are {} a frame, not {}",
-            weights.ncols(),
-            VISEMES.len()
-        );
+/// What keeps viseme weights from being shown as mouth shapes.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CueError {
+    /// Every frame has 13 weights.
+    #[error("viseme weights are {0} a frame, not {all}", all = VISEMES.len())]
+    Width(usize),
+    /// A sound shorter than one window has no frame.
+    #[error("there is no frame of viseme weights")]
+    NoFrame,
+    /// Weights are shares.
+    #[error("a viseme weight of frame {frame} is negative or no number")]
+    Weight {
+        /// Counted from 0.
+        frame: usize,
+    },
+}
+
+/// Viterbi over shapes, frame by frame: Σ ln weight − [`CHANGE_COST`] or [`CLOSING_COST`] per change. Keeps 9 bytes a frame, for which
+/// shape each came from.
+#[derive(Default)]
+pub struct Shapes {
+    score: [f32; SHAPES.len()],
+    from: Vec<[u8; SHAPES.len()]>,
+}
+
+impl Shapes {
+    /// The viseme weights `[13]` of the next frame.
+    ///
+    /// # Errors
+    ///
+    /// [`CueError::Width`] and [`CueError::Weight`].
+    pub fn push(&mut self, visemes: &[f32]) -> Result<(), CueError> {
+        check(visemes, self.from.len())?;
+        let weights = shape_weights(visemes);
+        let best = argmax(&self.score);
+        let top = self.score[best];
+        let mut step = [0; SHAPES.len()];
+        for (k, s) in self.score.iter_mut().enumerate() {
+            let closes = SHAPES[k] == Shape::A;
+            let changed = top - if closes { CLOSING_COST } else { CHANGE_COST };
+            step[k] = if changed > *s { best } else { k } as u8;
+            *s = s.max(changed) + weights[k].max(FLOOR).ln();
+        }
+        // Only differences count; kept near zero.
+        let top = self.score[argmax(&self.score)];
+        self.score.iter_mut().for_each(|s| *s -= top);
+        self.from.push(step);
+        Ok(())
     }
-    if weights.nrows() == 0 {
-        bail!("there is no frame of viseme weights");
+
+    /// The shapes of a sound that lasts `duration_s`.
+    ///
+    /// # Errors
+    ///
+    /// [`CueError::NoFrame`].
+    pub fn finish(self, duration_s: f64) -> Result<Vec<Cue>, CueError> {
+        if self.from.is_empty() {
+            return Err(CueError::NoFrame);
+        }
+        let frames = self.from.len();
+        let mut cues: Vec<Cue> = Vec::new();
+        for (t, shape) in self.path().into_iter().enumerate() {
+            match cues.last_mut() {
+                Some(last) if last.shape == shape => {}
+                last => {
+                    let start_s = if t == 0 { 0.0 } else { border_seconds(t) };
+                    if let Some(last) = last {
+                        last.end_s = start_s;
+                    }
+                    cues.push(Cue {
+                        start_s,
+                        end_s: border_seconds(frames),
+                        shape,
+                    });
+                }
+            }
+        }
+        // The sound ends somewhere in the last window.
+        cues.retain(|cue| cue.start_s < duration_s);
+        if let Some(last) = cues.last_mut() {
+            last.end_s = duration_s;
+        }
+        Ok(cues)
     }
-    if weights.iter().any(|w| !w.is_finite() || *w < 0.0) {
-        bail!("a viseme weight is negative or no number");
+
+    /// The best shape of every frame, traced back from the last.
+    fn path(&self) -> Vec<Shape> {
+        let mut at = argmax(&self.score);
+        let mut path = vec![SHAPES[at]; self.from.len()];
+        for (shape, from) in path.iter_mut().zip(&self.from).rev() {
+            *shape = SHAPES[at];
+            at = usize::from(from[at]);
+        }
+        path
+    }
+}
+
+/// Whether these are the weights of a frame.
+fn check(visemes: &[f32], frame: usize) -> Result<(), CueError> {
+    if visemes.len() != VISEMES.len() {
+        return Err(CueError::Width(visemes.len()));
+    }
+    if visemes.iter().any(|w| !w.is_finite() || *w < 0.0) {
+        return Err(CueError::Weight { frame });
     }
     Ok(())
 }
 
 /// Weight of each shape in one frame; E takes what D and F share.
-fn shape_weights(visemes: ArrayView1<f32>) -> [f32; SHAPES.len()] {
+fn shape_weights(visemes: &[f32]) -> [f32; SHAPES.len()] {
     let mut out = [0.0f32; SHAPES.len()];
     for (&w, shape) in visemes.iter().zip(SHAPE_OF_VISEME) {
         out[shape as usize] += w;
@@ -159,34 +246,6 @@ fn shape_weights(visemes: ArrayView1<f32>) -> [f32; SHAPES.len()] {
         out[Shape::F as usize] = 0.0;
     }
     out
-}
-
-/// Viterbi over shapes: Σ ln weight − [`CHANGE_COST`] or [`CLOSING_COST`] per change.
-fn likeliest(weights: &[[f32; SHAPES.len()]]) -> Vec<Shape> {
-    let mut score = [0.0f32; SHAPES.len()];
-    let mut from = Vec::with_capacity(weights.len());
-    for frame in weights {
-        let best = argmax(&score);
-        let top = score[best];
-        let mut step = [0; SHAPES.len()];
-        for (k, s) in score.iter_mut().enumerate() {
-            let closes = SHAPES[k] == Shape::A;
-            let changed = top - if closes { CLOSING_COST } else { CHANGE_COST };
-            step[k] = if changed > *s { best } else { k };
-            *s = s.max(changed) + frame[k].max(FLOOR).ln();
-        }
-        // Only differences count; kept near zero.
-        let top = score[argmax(&score)];
-        score.iter_mut().for_each(|s| *s -= top);
-        from.push(step);
-    }
-    let mut at = argmax(&score);
-    let mut path = vec![SHAPES[at]; weights.len()];
-    for t in (0..weights.len()).rev() {
-        path[t] = SHAPES[at];
-        at = from[t][at];
-    }
-    path
 }
 
 fn argmax(values: &[f32]) -> usize {

@@ -29,6 +29,7 @@ use crate::kinds::recurrent::model::RecurrentModel;
 pub struct Candidate {
     /// Which of the models.
     pub model: usize,
+    /// Width of the beam in bits.
     pub beam_bits: f64,
     /// Bytes of tables.
     pub bytes: usize,
@@ -41,7 +42,9 @@ pub struct Candidate {
 /// Limits; none: no limit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Budget {
+    /// Most bytes of tables.
     pub bytes: Option<usize>,
+    /// Most instructions of a hop on average.
     pub instructions: Option<f64>,
 }
 
@@ -86,6 +89,7 @@ pub fn mean_active(tables: &Model<Likelihood>, samples: &[i16]) -> f64 {
 }
 
 impl Candidate {
+    /// Whether it keeps every limit of `budget`.
     pub fn fits(&self, budget: &Budget) -> bool {
         self.exceeds(budget).is_none()
     }

@@ -49,14 +49,18 @@ impl ExportSettings {
 
 /// Tables and what quantising cost.
 pub struct Export {
+    /// The device's tables: a whole file.
     pub bytes: Vec<u8>,
+    /// What became of each section.
     pub report: Vec<SectionReport>,
 }
 
 /// Size and error of one section.
 #[derive(Clone, Debug, Serialize)]
 pub struct SectionReport {
+    /// The section's name.
     pub section: String,
+    /// Size in bytes.
     pub bytes: usize,
     /// None for sections that are exact.
     pub error: Option<ErrorReport>,
@@ -67,7 +71,9 @@ pub struct SectionReport {
 pub struct ErrorReport {
     /// What the two numbers are measured in.
     pub unit: &'static str,
+    /// Largest error.
     pub max: f64,
+    /// Root mean square of the errors.
     pub rms: f64,
     /// Numbers that were outside the range and have been held to it.
     pub clipped: usize,

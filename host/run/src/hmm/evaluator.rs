@@ -29,6 +29,7 @@ pub struct Evaluator {
 }
 
 impl Evaluator {
+    /// Makes `mixtures` ready.
     pub fn new(mixtures: &Mixtures) -> Self {
         let (states, components, dimensions) = mixtures.mean.dim();
         let mut constant = Vec::with_capacity(states * components);
@@ -59,6 +60,7 @@ impl Evaluator {
         }
     }
 
+    /// Components K of each state's mixture.
     pub fn components(&self) -> usize {
         self.components
     }
@@ -212,6 +214,7 @@ pub struct Blocks {
 }
 
 impl Blocks {
+    /// Takes `[frames, dimensions]` of at least one frame.
     pub fn new(observations: ArrayView2<f32>) -> Self {
         let (frames, dimensions) = observations.dim();
         let blocks = frames.div_ceil(BLOCK);
@@ -231,6 +234,7 @@ impl Blocks {
         self.lanes.len() / self.dimensions.max(1)
     }
 
+    /// Whether there is no block.
     pub fn is_empty(&self) -> bool {
         self.lanes.is_empty()
     }

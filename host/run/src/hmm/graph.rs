@@ -17,6 +17,7 @@ pub struct JointState {
     pub visual: usize,
     /// Phone of the audio state, and class: row (phone, class) of the transition table.
     pub phone: usize,
+    /// Transition class of the pair, see [`pair_class`](super::joint::pair_class).
     pub class: usize,
     /// Node of the phone network that the audio state belongs to.
     pub node: usize,
@@ -25,7 +26,9 @@ pub struct JointState {
 /// From one joint state to another (or itself).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Arc {
+    /// Index of the joint state that it leaves.
     pub from: u32,
+    /// Index of the joint state that it enters.
     pub to: u32,
     /// Column of the transition table: what the two chains do.
     pub choice: u8,
@@ -36,7 +39,9 @@ pub struct Arc {
 /// A sparse graph of joint states. Arcs are sorted by `from`.
 #[derive(Clone, Debug)]
 pub struct Graph {
+    /// The joint states; arcs and entries refer to them by index.
     pub states: Vec<JointState>,
+    /// The arcs, from a joint state to itself too.
     pub arcs: Vec<Arc>,
     /// `arcs[first[s]..first[s + 1]]` leave state s.
     pub first: Vec<usize>,

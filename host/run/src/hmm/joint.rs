@@ -19,8 +19,12 @@ pub const SOUND_LEADS: usize = 14;
 /// What the two chains of a joint state do next: columns of a transition table.
 /// Impossible choices (eq. 19) hold [`NO_WEIGHT`](super::mixtures::Mixtures::NO_WEIGHT).
 pub mod choice {
+    /// Neither chain advances.
     pub const STAY: usize = 0;
+    /// The audio chain advances, the visual chain stays.
     pub const AUDIO_ADVANCES: usize = 1;
+    /// The visual chain advances, the audio chain stays.
     pub const VISUAL_ADVANCES: usize = 2;
+    /// Both chains advance.
     pub const BOTH_ADVANCE: usize = 3;
 }

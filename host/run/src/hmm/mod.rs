@@ -24,10 +24,15 @@ use topology::Topology;
 /// A trained HMM, borrowed from a model or from training.
 #[derive(Clone, Copy)]
 pub struct Hmm<'a> {
+    /// Which joint states exist.
     pub topology: Topology,
+    /// How the two observations of a joint state are modelled.
     pub density: Density,
+    /// Phones in table order.
     pub phones: &'a [Phone],
+    /// One mixture per audio state: 5·phone + i.
     pub audio: &'a Mixtures,
+    /// One mixture per visual state: 5·viseme + j, or 5·phone + j where both chains are over phones.
     pub visual: &'a Mixtures,
     /// Natural log, `[phones, classes, 4]`.
     pub transition: &'a Array3<f32>,
@@ -38,6 +43,7 @@ pub struct Hmm<'a> {
 }
 
 impl<'a> Hmm<'a> {
+    /// The HMM in a likelihood-trained model.
     pub fn of_model(model: &'a Model) -> Self {
         Self {
             topology: model.system.topology,
@@ -59,6 +65,7 @@ impl<'a> Hmm<'a> {
         (graph, probability)
     }
 
+    /// Number of visual states.
     pub fn n_visual_states(&self) -> usize {
         self.topology.n_visual_states(self.phones.len())
     }

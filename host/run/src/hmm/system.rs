@@ -24,9 +24,13 @@ pub enum Speech {
 /// One system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct System {
+    /// Name on the command line and in model files, such as `ph-vi-chmm`.
     pub name: &'static str,
+    /// Which joint states exist, and how their transitions are tied.
     pub topology: Topology,
+    /// How the two observations of a joint state are modelled.
     pub density: Density,
+    /// How the mouth is found from the states.
     pub speech: Speech,
 }
 
@@ -84,6 +88,7 @@ impl System {
     /// The coupled HMM with local linear maps, which the device runs.
     pub const LOCAL_LINEAR: System = SYSTEMS[7];
 
+    /// The system of this name; none if there is no such system.
     pub fn from_name(name: &str) -> Option<Self> {
         SYSTEMS.into_iter().find(|s| s.name == name)
     }

@@ -20,14 +20,18 @@ pub enum Pairing {
 /// What the states of the visual chain belong to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VisualAtom {
+    /// Phones: both chains are over phones.
     Phone,
+    /// Visemes: phones that look alike share their visual states.
     Viseme,
 }
 
 /// A system's description.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Topology {
+    /// Which pairs of states exist.
     pub pairing: Pairing,
+    /// What the visual states belong to.
     pub visual: VisualAtom,
 }
 

@@ -38,6 +38,7 @@ pub trait Numbers {
 }
 
 impl Format {
+    /// Every format.
     pub const ALL: [Format; 3] = [Format::Npy, Format::Csv, Format::Json];
 
     /// The ending of a file's name, without the dot.

@@ -11,18 +11,25 @@ use crate::phones::VISEMES;
 /// unrolled path: −1, 0 or 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct State {
+    /// Phone of the audio chain, by its index in the model.
     pub phone: usize,
+    /// Audio state inside the phone, 0..5.
     pub i: usize,
+    /// Viseme of the visual chain.
     pub viseme: usize,
+    /// Visual state inside the viseme, 0..5.
     pub j: usize,
+    /// States by which the audio chain is ahead: −1, 0 or 1.
     pub ahead: i32,
 }
 
 /// All joint states, and the probability of going from one to the other.
 pub struct Coupled {
+    /// The joint states; arcs refer to them by index.
     pub states: Vec<State>,
     /// Per state: where to, with which probability.
     pub arcs: Vec<Vec<(usize, f64)>>,
+    /// Probability of beginning in each state.
     pub initial: Vec<f64>,
 }
 
@@ -35,6 +42,7 @@ fn probability(log: f32) -> f64 {
 }
 
 impl Coupled {
+    /// The model's HMM over the phone loop.
     pub fn new(model: &Model) -> Self {
         let viseme = |p: usize| usize::from(model.phones[p].viseme().0);
         let last = N_EMITTING - 1;

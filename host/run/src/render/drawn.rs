@@ -15,7 +15,9 @@ pub struct Pose {
     pub spread: f32,
 }
 
+/// Width of a drawn mouth in pixels.
 pub const WIDTH: usize = 64;
+/// Height of a drawn mouth in pixels.
 pub const HEIGHT: usize = 48;
 
 const SKIN: [f32; 3] = [214.0, 168.0, 146.0];

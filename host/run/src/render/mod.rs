@@ -5,10 +5,11 @@
 //! of a recording for the middle of its exposure.
 use anyhow::{Result, bail};
 use lipstream_core::SAMPLE_RATE_HZ;
-use lipstream_media::sink::{Film, Mp4Bytes};
+use lipstream_media::sink::{Film, Mp4Bytes, Soundtrack};
 use ndarray::{Array1, ArrayView1, ArrayView2};
 
 use crate::mouth::MouthSpace;
+use crate::progress::{Progress, Steps};
 use crate::{parameters, time};
 
 pub mod drawn;
@@ -98,6 +99,7 @@ pub struct Player<'a> {
 }
 
 impl<'a> Player<'a> {
+    /// Draws `scene` at `fps` pictures a second.
     pub fn new(scene: &'a mut dyn Scene, fps: u32) -> Self {
         Self {
             scene,
@@ -180,35 +182,42 @@ impl<'a> Player<'a> {
 
 /// A finished video and what was drawn for it.
 pub struct Rendered {
+    /// The video file's bytes.
     pub mp4: Vec<u8>,
+    /// Width of a picture in pixels.
     pub width: usize,
+    /// Height of a picture in pixels.
     pub height: usize,
+    /// Number of pictures.
     pub pictures: usize,
 }
 
-/// Draws parameters `[frames, D]` at 100 Hz into `sink`, with pictures to the end of the `sound` where there is one; gives their number.
+/// Draws parameters `[frames, D]` at 100 Hz into `sink`, `fps` pictures a second, with pictures to the end of a sound of `samples` samples
+/// where there is one; gives their number.
 ///
-/// `progress` is called with the number of pictures done and of all pictures.
+/// # Errors
+///
+/// Parameters that cannot be drawn, and what scene and sink say.
 pub fn play(
     scene: &mut dyn Scene,
     tracks: ArrayView2<f32>,
-    film: &Film,
+    fps: u32,
+    samples: Option<usize>,
     mut sink: impl FnMut(&[u8]) -> Result<()>,
-    mut progress: impl FnMut(usize, usize),
+    progress: &dyn Progress,
 ) -> Result<usize> {
     parameters::check(tracks)?;
-    let samples = film
-        .sound
-        .map_or_else(|| time::samples_covered(tracks.nrows()), <[i16]>::len);
-    let all = picture_count(samples, film.fps).max(1);
-    let mut player = Player::new(scene, film.fps);
+    let samples = samples.unwrap_or_else(|| time::samples_covered(tracks.nrows()));
+    let all = picture_count(samples, fps).max(1);
+    let mut player = Player::new(scene, fps);
+    let steps = Steps::begin(progress, PICTURES, all);
     let mut done = 0;
     let mut each = |rgb: &[u8]| {
         // The sound may end before the frames do.
         if done < all {
             sink(rgb)?;
             done += 1;
-            progress(done, all);
+            steps.made();
         }
         Ok(())
     };
@@ -219,20 +228,27 @@ pub fn play(
     Ok(all)
 }
 
+/// What is counted while a film is drawn.
+pub const PICTURES: &str = "pictures";
+
 /// Draws parameters `[frames, D]` at 100 Hz and gives them as MP4 in memory, with `sound` (16 kHz) where there is one.
 ///
-/// `progress` is called with the number of pictures done and of all pictures.
+/// # Errors
+///
+/// As [`play`].
 pub fn to_mp4(
     space: &MouthSpace,
     tracks: ArrayView2<f32>,
     sound: Option<&[i16]>,
     settings: &Settings,
-    progress: impl FnMut(usize, usize),
+    progress: &dyn Progress,
 ) -> Result<Rendered> {
     let mut scene = Painter::new(space, settings)?;
-    let film = film(&scene, settings, sound);
+    let film = film(&scene, settings, sound.map(Soundtrack::Samples));
     let mut mp4 = Mp4Bytes::new(&film)?;
-    let pictures = play(&mut scene, tracks, &film, |rgb| Ok(mp4.picture(rgb)?), progress)?;
+    let samples = sound.map(<[i16]>::len);
+    let sink = |rgb: &[u8]| Ok(mp4.picture(rgb)?);
+    let pictures = play(&mut scene, tracks, film.fps, samples, sink, progress)?;
     Ok(Rendered {
         mp4: mp4.bytes()?,
         width: film.width,
@@ -242,7 +258,7 @@ pub fn to_mp4(
 }
 
 /// What a sink has to know of a scene.
-pub fn film<'s>(scene: &dyn Scene, settings: &Settings, sound: Option<&'s [i16]>) -> Film<'s> {
+pub fn film<'s>(scene: &dyn Scene, settings: &Settings, sound: Option<Soundtrack<'s>>) -> Film<'s> {
     let (width, height) = scene.size();
     Film {
         width,

@@ -18,7 +18,9 @@ const MAX_PEAKS: usize = 2000;
 
 /// What the page shows.
 pub struct Page<'a> {
+    /// Heading of the page.
     pub title: &'a str,
+    /// The video: an MP4 file's bytes.
     pub mp4: &'a [u8],
     /// 16 kHz.
     pub sound: &'a [i16],
@@ -28,6 +30,7 @@ pub struct Page<'a> {
     pub parameters: ArrayView2<'a, f32>,
     /// Standard deviation of each parameter, `[D]`.
     pub deviation: ArrayView1<'a, f32>,
+    /// Mouth shapes with their times.
     pub cues: &'a [Cue],
 }
 

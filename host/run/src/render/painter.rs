@@ -20,6 +20,11 @@ pub struct Painter<'a> {
 }
 
 impl<'a> Painter<'a> {
+    /// Paints mouths of `space` in the size and with the noise that `settings` asks for.
+    ///
+    /// # Errors
+    ///
+    /// That the size or the noise is out of range.
     pub fn new(space: &'a MouthSpace, settings: &Settings) -> Result<Self> {
         let (width, height) = settings.size(space)?;
         if !(0.0..=100.0).contains(&settings.noise) {

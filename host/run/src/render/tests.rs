@@ -88,6 +88,18 @@ fn tone(samples: usize) -> Vec<i16> {
         .collect()
 }
 
+/// How far the work is.
+#[derive(Default)]
+struct Seen(std::sync::Mutex<(usize, usize)>);
+
+impl Progress for Seen {
+    fn say(&self, _: &str) {}
+
+    fn step(&self, _: &str, done: usize, all: usize) {
+        *self.0.lock().unwrap() = (done, all);
+    }
+}
+
 #[test]
 fn the_file_holds_what_was_drawn_and_said_in_step() {
     let space = drawn::space(12);
@@ -95,12 +107,10 @@ fn the_file_holds_what_was_drawn_and_said_in_step() {
     let frames = (sound.len() - FRAME_SAMPLES) / HOP_SAMPLES + 1;
     let tracks = drawn::babble(&space, frames);
     let settings = Settings::default();
-    let mut seen = (0, 0);
-    let done = to_mp4(&space, tracks.view(), Some(&sound), &settings, |n, all| {
-        seen = (n, all)
-    })
-    .unwrap();
+    let seen = Seen::default();
+    let done = to_mp4(&space, tracks.view(), Some(&sound), &settings, &seen).unwrap();
     let pictures = 55;
+    let seen = *seen.0.lock().unwrap();
     assert_eq!((done.pictures, seen), (pictures, (pictures, pictures)));
     let file = &done.mp4;
 
@@ -218,7 +228,7 @@ fn a_silent_film_has_one_track() {
         scale: Some(1),
         noise: 2.0,
     };
-    let done = to_mp4(&space, tracks.view(), None, &settings, |_, _| {}).unwrap();
+    let done = to_mp4(&space, tracks.view(), None, &settings, &()).unwrap();
     assert_eq!((done.width, done.height), (64, 48));
     // 99 hops and a window: 1.015 s.
     assert_eq!(done.pictures, 51);
@@ -231,7 +241,7 @@ fn a_silent_film_has_one_track() {
 fn what_cannot_be_drawn_is_refused_in_words() {
     let space = drawn::space(6);
     let said = |tracks: Array2<f32>| {
-        let error = to_mp4(&space, tracks.view(), None, &Settings::default(), |_, _| {})
+        let error = to_mp4(&space, tracks.view(), None, &Settings::default(), &())
             .err()
             .unwrap();
         format!("{error:#}")
@@ -256,14 +266,15 @@ fn other_formats_need_ffmpeg_and_say_so() {
     let sound = tone(8000);
     let written = || -> Result<usize> {
         let mut scene = Painter::new(&space, &settings)?;
-        let film = film(&scene, &settings, Some(&sound));
+        let film = film(&scene, &settings, Some(Soundtrack::Samples(&sound)));
         let mut sink = Box::new(lipstream_media::sink::Ffmpeg::new(&path, &film)?);
         let pictures = play(
             &mut scene,
             tracks.view(),
-            &film,
+            film.fps,
+            Some(sound.len()),
             |rgb| Ok(sink.picture(rgb)?),
-            |_, _| {},
+            &(),
         )?;
         sink.finish()?;
         Ok(pictures)
@@ -311,14 +322,7 @@ fn at_pictures(tracks: ArrayView2<f32>, fps: u32, samples: usize) -> Array2<f32>
         width: tracks.ncols(),
         seen: Vec::new(),
     };
-    let sound = vec![0; samples];
-    let film = Film {
-        width: 16,
-        height: 16,
-        fps,
-        sound: Some(&sound),
-    };
-    let count = play(&mut scene, tracks, &film, |_| Ok(()), |_, _| {}).unwrap();
+    let count = play(&mut scene, tracks, fps, Some(samples), |_| Ok(()), &()).unwrap();
     scene.seen.truncate(count * tracks.ncols());
     Array2::from_shape_vec((count, tracks.ncols()), scene.seen).unwrap()
 }

@@ -29,8 +29,11 @@ const OVERHANG_S: f64 = 0.5;
 /// One stretch of time with its label, in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interval {
+    /// Where it begins, in seconds.
     pub start: f64,
+    /// Where it ends, in seconds.
     pub end: f64,
+    /// What the file says there.
     pub label: String,
 }
 
@@ -39,6 +42,7 @@ pub struct Interval {
 pub struct SpokenWord {
     /// Lower case, no punctuation but apostrophes.
     pub text: String,
+    /// Start and end in seconds; `None` where the file has no times.
     pub time: Option<(f64, f64)>,
     /// A single letter that is spoken as its name ("a" as in the alphabet), as in GRID.
     pub letter_name: bool,
@@ -47,6 +51,7 @@ pub struct SpokenWord {
 /// What the label files of one clip say. Silences are no words; they are phones.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Labels {
+    /// The words in the order in which they are said.
     pub words: Vec<SpokenWord>,
     /// Start and end in seconds.
     pub phones: Vec<(f64, f64, Phone)>,

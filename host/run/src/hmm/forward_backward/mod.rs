@@ -53,6 +53,7 @@ impl Window {
 
 /// Natural log emission of a joint state at a frame.
 pub trait Emission {
+    /// Natural log of the emission of joint state `state` at frame `t`.
     fn log(&self, t: usize, state: usize) -> f64;
 }
 

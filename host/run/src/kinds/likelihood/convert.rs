@@ -36,6 +36,7 @@ pub struct Follower {
 }
 
 impl Follower {
+    /// Lays out `hmm`; `acoustic_scale` is the exponent of the audio likelihood.
     pub fn new(hmm: &Hmm, acoustic_scale: f32) -> Self {
         let (graph, probability) = hmm.phone_loop();
         Self {
@@ -48,6 +49,7 @@ impl Follower {
         }
     }
 
+    /// Lays out the model's HMM, with the model's own acoustic scale.
     pub fn of_model(model: &Model) -> Self {
         Self::new(&Hmm::of_model(model), model.following.acoustic_scale)
     }

@@ -63,6 +63,7 @@ impl Heard {
 }
 
 impl Inverter {
+    /// Lays out `hmm` over the phone loop.
     pub fn new(hmm: Hmm) -> Self {
         let (graph, probability) = hmm.phone_loop();
         let visual = match hmm.density {

@@ -69,6 +69,7 @@ pub struct EmSettings {
     pub visual_exponent: f32,
     /// EM iterations after the best path's centres.
     pub iterations: usize,
+    /// Which M step an iteration takes.
     pub m_step: MStep,
 }
 
@@ -92,6 +93,7 @@ pub struct Model {
     pub phones: Vec<Phone>,
     /// Causal normalisation: mean of the raw statics that a stream starts from, `[13]`.
     pub start_mean: Array1<f32>,
+    /// One mixture per audio state: 5·phone + i.
     pub audio: Mixtures,
     /// One per visual state: 5·viseme + j, or 5·phone + j where both chains are over phones. In a joint density its
     /// components belong to those of `audio`.
@@ -102,9 +104,13 @@ pub struct Model {
     pub bigram: Array2<f32>,
     /// Natural log of P(first phone), `[phones]`.
     pub initial: Array1<f32>,
+    /// From a frame and its neighbours to the input of the maps.
     pub context: ContextMap,
+    /// The local linear maps, from that input to mouth parameters.
     pub maps: LocalLinear,
+    /// How the states are followed while converting: acoustic scale and lag.
     pub following: Following,
+    /// How conversion by means goes.
     pub conversion: EmSettings,
     /// Absent in a model trained on plain visual numbers.
     pub mouth: Option<MouthSpace>,
@@ -113,10 +119,12 @@ pub struct Model {
 }
 
 impl Model {
+    /// Number of audio states, five per phone.
     pub fn n_audio_states(&self) -> usize {
         self.phones.len() * N_EMITTING
     }
 
+    /// Numbers of the mouth in a frame, D.
     pub fn visual_size(&self) -> usize {
         self.maps.global.nrows()
     }
@@ -130,6 +138,11 @@ impl Model {
         10 * frames as u32
     }
 
+    /// Writes the model to a file.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
         self.store(&mut out);

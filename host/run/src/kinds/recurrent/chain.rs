@@ -102,6 +102,7 @@ const PAIR_10: usize = pair_class(1, 0);
 /// What does not change while a clip is followed.
 #[derive(Clone, Debug)]
 pub struct Chain {
+    /// Number of phones.
     pub phones: usize,
     /// Phones rounded up to eight.
     pub stride: usize,
@@ -116,6 +117,7 @@ pub struct Chain {
     by_atom: Vec<f32>,
     by_atom_inverse: Vec<f32>,
     arcs: Vec<(usize, usize, usize)>,
+    /// Audio and visual state (i, j) of each pair inside a phone, in the order of the slots.
     pub pairs: [(usize, usize); INSIDE],
 }
 
@@ -173,10 +175,12 @@ impl Chain {
         }
     }
 
+    /// Length of a vector of joint states: every slot of every phone, padding included.
     pub fn states(&self) -> usize {
         SLOTS * self.stride
     }
 
+    /// Room of this chain's size.
     pub fn scratch(&self) -> Scratch {
         let s = self.stride;
         Scratch {

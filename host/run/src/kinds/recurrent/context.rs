@@ -15,7 +15,9 @@ use ndarray::Array2;
 /// Taps in frames, the largest (the look-ahead) first, and the means' rates as shifts: α = 2^−shift.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Context {
+    /// Frames τ of the taps, relative to the current frame, the largest first.
     pub taps: Vec<i32>,
+    /// Shifts of the exponential means: α = 2^−shift per frame.
     pub shifts: Vec<u32>,
 }
 

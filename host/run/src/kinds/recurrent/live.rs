@@ -18,6 +18,7 @@ pub struct Spoken {
     pub parameters: Vec<f32>,
     /// γᵃ and γᵛ.
     pub audio: Vec<f32>,
+    /// γᵛ: occupancies of the visual states, `[65]`.
     pub visual: Vec<f32>,
 }
 
@@ -171,6 +172,7 @@ pub struct Converted {
     pub parameters: Array2<f32>,
     /// γᵃ `[frames, 5P]` and γᵛ `[frames, 65]`.
     pub audio: Array2<f32>,
+    /// γᵛ: occupancies of the visual states, `[frames, 65]`.
     pub visual: Array2<f32>,
     /// Occupancy of each viseme `[frames, 13]`.
     pub visemes: Array2<f32>,

@@ -11,7 +11,9 @@ use crate::hmm::joint::{MOUTH_LEADS, N_EMITTING, SOUND_LEADS};
 /// How log probabilities are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sums {
+    /// Without a table: in floats, rounded to 12 fraction bits.
     Exact,
+    /// By the device's table of log-additions.
     Table,
 }
 
@@ -25,6 +27,7 @@ pub struct LogSums {
 const LSBS: f64 = (1 << FRACTION_BITS) as f64;
 
 impl LogSums {
+    /// `probability` is that of every arc of `graph`; arcs of probability 0 are left out.
     pub fn new(chain: &Chain, graph: &Graph, probability: &[f64], sums: Sums) -> Self {
         let slot = slots(chain, graph);
         let mut into = vec![Vec::new(); chain.states()];

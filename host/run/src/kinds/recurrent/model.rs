@@ -28,6 +28,7 @@ pub const LEAST: f32 = 1e-4;
 pub struct RecurrentModel {
     /// The likelihood-trained model: phones, bigram, start mean, mouth, and the start of training.
     pub parent: Model,
+    /// What minimum generation error training has learnt.
     pub parameters: Parameters,
     /// c̄ `[C]`.
     pub context_mean: Vec<f32>,
@@ -39,6 +40,7 @@ pub struct RecurrentModel {
     pub least: f32,
     /// AMSE of the clips that chose the parameters, at the full look-ahead; none without such clips.
     pub validation_amse: Option<f64>,
+    /// Where the model comes from. For people.
     pub provenance: String,
 }
 
@@ -74,6 +76,11 @@ impl RecurrentModel {
         from.noted::<String>("kind").is_ok_and(|k| k == KIND)
     }
 
+    /// Writes the model and its parent to one file.
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
         let mut out = TensorsBuilder::default();
         self.parent.store(&mut out);
@@ -119,6 +126,11 @@ impl RecurrentModel {
         out.write(path)
     }
 
+    /// Reads a model file.
+    ///
+    /// # Errors
+    ///
+    /// That it cannot be read, holds a model of another kind, or is damaged.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
         if !Self::is_kind(&tensors) {
@@ -131,6 +143,11 @@ impl RecurrentModel {
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
     }
 
+    /// The model in a file that has been read.
+    ///
+    /// # Errors
+    ///
+    /// That the file is of another version, or that a note or an array is missing or does not fit.
     pub fn from_tensors(from: &Tensors) -> Result<Self> {
         let version: u32 = from.noted("mge.version")?;
         if version != VERSION {

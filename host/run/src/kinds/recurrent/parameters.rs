@@ -28,9 +28,11 @@ pub enum Gate {
 }
 
 impl Gate {
+    /// Whether the phone states own tables.
     pub fn audio(self) -> bool {
         self != Gate::Visual
     }
+    /// Whether the viseme states own tables.
     pub fn visual(self) -> bool {
         self != Gate::Audio
     }
@@ -39,7 +41,9 @@ impl Gate {
 /// Sizes and options; everything else follows from them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Shape {
+    /// Number of phones P.
     pub phones: usize,
+    /// Which frames and means a frame's context is made of.
     pub context: Context,
     /// Numbers in z.
     pub inputs: usize,
@@ -47,6 +51,7 @@ pub struct Shape {
     pub memory: usize,
     /// Mouth parameters.
     pub outputs: usize,
+    /// What the mouth feeds back into the visual emissions.
     pub feedback: Feedback,
     /// Who owns the gains G, the drives R and the offsets B.
     pub maps: Gate,
@@ -55,6 +60,7 @@ pub struct Shape {
 }
 
 impl Shape {
+    /// Number of audio states, 5P.
     pub fn audio_states(&self) -> usize {
         N_EMITTING * self.phones
     }
@@ -90,15 +96,19 @@ pub enum Group {
     GlobalBias,
     /// Gᵃ `[5P, H]` and Gᵛ `[65, H]`: gains.
     AudioGain,
+    /// Gᵛ `[65, H]`: gains of the viseme states.
     VisualGain,
     /// Rᵃ, Rᵛ: drives.
     AudioDrive,
+    /// Rᵛ `[65, H]`: drives of the viseme states.
     VisualDrive,
     /// Logits of Λᵃ or Λᵛ: rates.
     AudioRate,
+    /// Logits of Λᵛ `[65, H]`: rates of the viseme states.
     VisualRate,
     /// Bᵃ `[5P, D]`, Bᵛ `[65, D]`: offsets.
     AudioOffset,
+    /// Bᵛ `[65, D]`: offsets of the viseme states.
     VisualOffset,
     /// O `[D, H]`: memory to mouth.
     Output,
@@ -110,6 +120,7 @@ pub enum Group {
     Transition,
 }
 
+/// Every group, in the order in which they lie in the vector.
 pub const GROUPS: [Group; 20] = [
     Group::Projection,
     Group::Audio,
@@ -212,12 +223,15 @@ impl Group {
 /// A vector with its layout: parameters, a gradient, a mean of gradients.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
+    /// Sizes and options that the layout follows from.
     pub shape: Shape,
     offsets: Vec<usize>,
+    /// All groups one after the other, matrices row by row.
     pub values: Vec<f32>,
 }
 
 impl Parameters {
+    /// All zeros, laid out for `shape`.
     pub fn zeros(shape: &Shape) -> Self {
         let mut offsets = vec![0];
         for group in GROUPS {
@@ -237,15 +251,18 @@ impl Parameters {
         self.offsets[g]..self.offsets[g + 1]
     }
 
+    /// A group's numbers, row by row.
     pub fn of(&self, group: Group) -> &[f32] {
         &self.values[self.range(group)]
     }
 
+    /// A group's numbers to be changed, row by row.
     pub fn of_mut(&mut self, group: Group) -> &mut [f32] {
         let range = self.range(group);
         &mut self.values[range]
     }
 
+    /// A group as a matrix of the shape that [`Group::size`] says.
     pub fn matrix(&self, group: Group) -> ArrayView2<'_, f32> {
         ArrayView2::from_shape(group.size(&self.shape), self.of(group)).expect("the layout gives the shape")
     }
@@ -257,12 +274,14 @@ impl Parameters {
         &self.values[at..at + columns]
     }
 
+    /// Row `row` of a matrix, to be changed.
     pub fn row_mut(&mut self, group: Group, row: usize) -> &mut [f32] {
         let (_, columns) = group.size(&self.shape);
         let at = self.offsets[group as usize] + row * columns;
         &mut self.values[at..at + columns]
     }
 
+    /// Sets a group to `matrix`, which must have the group's shape.
     pub fn assign(&mut self, group: Group, matrix: &Array2<f32>) {
         assert_eq!(matrix.dim(), group.size(&self.shape), "{}", group.name());
         for (to, from) in self.of_mut(group).iter_mut().zip(matrix) {
@@ -270,6 +289,7 @@ impl Parameters {
         }
     }
 
+    /// Adds `matrix`, which must have the group's shape, to a group.
     pub fn add(&mut self, group: Group, matrix: &Array2<f32>) {
         assert_eq!(matrix.dim(), group.size(&self.shape), "{}", group.name());
         for (to, from) in self.of_mut(group).iter_mut().zip(matrix) {
@@ -298,6 +318,7 @@ impl Parameters {
     }
 }
 
+/// The logistic function 1/(1 + e⁻ˣ), from logits to rates.
 pub fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }

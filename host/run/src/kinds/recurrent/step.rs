@@ -23,11 +23,15 @@ pub const FLOOR: f32 = 30.0;
 const SMALLEST: f32 = 1e-12;
 /// Parameters laid out for the recursion: probabilities and rates instead of logits.
 pub struct Net<'a> {
+    /// The parameters as they were learnt.
     pub p: &'a Parameters,
+    /// The HMM, with the parameters' transitions.
     pub chain: Chain,
     /// Λ, `[states of its chain, H]`.
     pub rates: Vec<f32>,
+    /// Probability of the first phone, `[P]`.
     pub initial: Vec<f32>,
+    /// Probabilities of the joint states that a clip begins with, by slots `[SLOTS·stride]`.
     pub first_alpha: Vec<f32>,
     /// Occupancies up to this are left out of (M7) and (M9).
     pub least: f32,
@@ -53,12 +57,14 @@ impl<'a> Net<'a> {
         }
     }
 
+    /// Row of Λ of one state of the chain that owns the rates, `[H]`.
     pub fn rate_row(&self, state: usize) -> &[f32] {
         let h = self.p.shape.memory;
         &self.rates[state * h..(state + 1) * h]
     }
 }
 
+/// The group of the rates: that of the chain that owns them.
 pub fn rate_group(shape: &Shape) -> Group {
     if shape.rates.audio() {
         Group::AudioRate
@@ -67,6 +73,7 @@ pub fn rate_group(shape: &Shape) -> Group {
     }
 }
 
+/// Logits to probabilities, which sum to 1.
 pub fn softmax(logits: &[f32]) -> Vec<f32> {
     let max = logits.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     let e: Vec<f32> = logits.iter().map(|l| (l - max).exp()).collect();
@@ -92,19 +99,25 @@ pub fn log_softmax_rows(logits: &[f32]) -> Vec<f32> {
 
 /// Tables that one chain's states own.
 pub struct Tables {
+    /// Gains G.
     pub gain: Group,
+    /// Drives R.
     pub drive: Group,
+    /// Offsets B.
     pub offset: Group,
+    /// Logits of the rates Λ.
     pub rate: Group,
 }
 
 impl Tables {
+    /// Tables of the phone states.
     pub const AUDIO: Tables = Tables {
         gain: Group::AudioGain,
         drive: Group::AudioDrive,
         offset: Group::AudioOffset,
         rate: Group::AudioRate,
     };
+    /// Tables of the viseme states.
     pub const VISUAL: Tables = Tables {
         gain: Group::VisualGain,
         drive: Group::VisualDrive,
@@ -112,6 +125,7 @@ impl Tables {
         rate: Group::VisualRate,
     };
 
+    /// Whether this chain's states own gains, drives and offsets.
     pub fn has_maps(&self, shape: &Shape) -> bool {
         match self.gain {
             Group::AudioGain => shape.maps.audio(),
@@ -122,15 +136,21 @@ impl Tables {
 
 /// One frame's places for (M7)-(M9).
 pub struct Speak<'a> {
+    /// w_t, `[H]`.
     pub gain: &'a mut [f32],
+    /// λ_t, `[H]`.
     pub rate: &'a mut [f32],
+    /// What the memory moves towards, V_d z_t∘w_t + r_t, `[H]`.
     pub target: &'a mut [f32],
+    /// h_t, `[H]`.
     pub memory: &'a mut [f32],
     /// Holds W₀z + b₀ at first.
     pub output: &'a mut [f32],
 }
 
 impl Speak<'_> {
+    /// (M7)-(M9) of one frame from γᵃ (`audio`), γᵛ (`visual`), V_d z_t (`drive`) and h_{t−1} (`last`). `mask` multiplies the
+    /// memory that O reads; empty: none.
     pub fn step(
         &mut self,
         net: &Net,
@@ -181,19 +201,28 @@ impl Speak<'_> {
 
 /// Buffers of one pass.
 pub struct Room {
+    /// Room for the HMM's step.
     pub scratch: Scratch,
     /// Visual emissions of each phone's own viseme, `[5][stride]`.
     pub own: Vec<f32>,
+    /// Sums over joint states, by audio and then by own visual state, `[2][5][stride]`.
     pub sums: Vec<f32>,
+    /// ℓᵛ, `[65]`.
     pub visual_logs: Vec<f32>,
+    /// Gradient by ℓᵛ, `[65]`.
     pub g_visual_logs: Vec<f32>,
+    /// What the mouth feeds back, of [`Shape::fed_back`] numbers.
     pub fed: Vec<f32>,
+    /// Gradient by `fed`.
     pub g_fed: Vec<f32>,
+    /// Gradient by the memory that O reads, `[H]`.
     pub h: Vec<f32>,
+    /// The memory that O reads, times its mask, `[H]`.
     pub fed_h: Vec<f32>,
 }
 
 impl Room {
+    /// Buffers of the size that `net` needs.
     pub fn new(net: &Net) -> Self {
         let wide = N_EMITTING * net.chain.stride;
         let shape = &net.p.shape;
@@ -210,6 +239,7 @@ impl Room {
         }
     }
 
+    /// Fills `fed` from the last output `y` or the last memory `h`, times `mask` (1 beyond its end).
     pub fn fed_back(&mut self, what: Feedback, y: &[f32], h: &[f32], mask: &[f32]) {
         let from = match what {
             Feedback::None => return,
@@ -245,6 +275,7 @@ pub fn emissions_audio(net: &Net, logs: &[f32], out: &mut [f32]) {
     }
 }
 
+/// exp(ℓ − max) of the visual states, floored.
 pub fn emissions_visual(logs: &[f32], out: &mut [f32]) {
     let max = logs.iter().copied().fold(f32::NEG_INFINITY, f32::max);
     for (out, log) in out.iter_mut().zip(logs) {
