@@ -142,7 +142,8 @@ pub enum CueError {
     },
 }
 
-/// Viterbi over shapes, frame by frame: Σ ln weight − [`CHANGE_COST`] or [`CLOSING_COST`] per change. Keeps 9 bytes a frame, for which
+/// Viterbi over shapes, frame by frame: Σ ln weight, less a cost for every change of shape (2 for closing lips, 5 for others). Keeps
+/// 9 bytes a frame, for which
 /// shape each came from.
 #[derive(Default)]
 pub struct Shapes {
