@@ -1,7 +1,7 @@
 //! The whole stream, samples to parameter frames: the same bytes on the host and in QEMU.
 //!
-//! The models, one a kind, are small and random, the sound is made of integers; `cargo run -p lipstream-tests --example
-//! bless_vectors` writes all vectors anew.
+//! The models, one a kind, are small and random, the sound is made of integers; `cargo xtask
+//! bless` writes all vectors anew.
 use lipstream_core::kinds::Kind;
 use lipstream_core::{Likelihood, Model, ParameterFrame, Recurrent, Stream, StreamSettings};
 

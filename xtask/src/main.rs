@@ -2,16 +2,20 @@
 //!
 //! | tool | what it does |
 //! |---|---|
+//! | `bless` | Writes the vectors of `tests/src/stream.rs` anew. |
 //! | `beam` | Active joint states per frame against the width of the beam: `beam TABLES WAV...`. |
-//! | `feedback` | The paper's EM feedback, live: one sweep over the lag window with every incoming frame, at several exponents of the mouth, in |
+//! | `cost` | What front end, stream and firmware cost on Cortex-M, counted in QEMU: writes `docs/cost.md`, or checks it. |
+//! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
-//! | `gate` | How often the states that gate the maps are of the labelled phone and viseme: the likelihood-trained model under its |
+//! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `strangers` | Other talkers through a model of one: how well its lip gap follows the gap of their own mouths. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
 use anyhow::{Result, bail};
 
 mod beam;
+mod bless;
+mod cost;
 mod feedback;
 mod fidelity;
 mod gate;
@@ -25,6 +29,8 @@ type Tool = (&'static str, fn(&[String]) -> Result<()>);
 
 const TOOLS: &[Tool] = &[
     ("beam", beam::run),
+    ("bless", bless::run),
+    ("cost", cost::run),
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),
     ("gate", gate::run),

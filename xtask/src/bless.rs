@@ -1,4 +1,4 @@
-//! Writes the vectors of `tests/src/stream.rs` anew: `cargo run -p lipstream-tests --example bless_vectors`.
+//! Writes the vectors of `tests/src/stream.rs` anew: `cargo xtask bless`.
 use std::path::Path;
 
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
@@ -9,14 +9,14 @@ use lipstream::random::fill_normal;
 use lipstream::synthetic::{Sizes, model};
 use lipstream_core::kinds::Kind;
 use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};
-use lipstream_tests::stream::{Sound, run, with_feedback, write};
+use lipstream_tests::stream::{self, Sound, with_feedback, write};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 /// What a model says of the sound, as the vectors hold it.
 fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> Vec<u8> {
     let mut frames = Vec::new();
-    run(&mut Stream::new(model, settings), Sound::new(), 160, |frame| {
+    stream::run(&mut Stream::new(model, settings), Sound::new(), 160, |frame| {
         write(frame, |byte| frames.push(byte));
     });
     frames
@@ -69,8 +69,8 @@ fn recurrent(rng: &mut Pcg64) -> RecurrentModel {
     }
 }
 
-fn main() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("vectors");
+pub(crate) fn run(_: &[String]) -> anyhow::Result<()> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/vectors");
     let mut float = model(&Sizes::small(), 2.0, &mut Pcg64::seed_from_u64(2026));
     float.following.acoustic_scale = 0.2;
     float.start_mean.fill(0.0);
@@ -99,7 +99,8 @@ fn main() {
         ),
     ] {
         let path = folder.join(name);
-        lipstream_media::files::write_bytes(&path, bytes).expect("the vectors' folder can be written");
-        println!("{}: {} bytes", path.display(), bytes.len());
+        lipstream_media::files::write_bytes(&path, bytes)?;
+        println!("tests/vectors/{name}: {} bytes", bytes.len());
     }
+    Ok(())
 }

@@ -20,7 +20,7 @@ pub(crate) fn run(root: &Path, model: &Path, sounds: &[PathBuf]) -> Result<()> {
         let tables = tempfile::NamedTempFile::new()?;
         let bytes = export(model, with)?.bytes;
         std::fs::write(tables.path(), &bytes)?;
-        let numbers = super::host::measure_stream(root, tables.path(), sounds, feedback)?;
+        let numbers = super::measure_stream(root, tables.path(), sounds, feedback)?;
         println!(
             "| {name} | {:.1} | {} | {} | {} |",
             bytes.len() as f64 / 1024.0,

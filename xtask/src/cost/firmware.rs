@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use object::{Object, ObjectSection};
 
-use crate::host::{Numbers, cargo_build, qemu, raw};
+use super::{Numbers, cargo_build, qemu, raw};
 
 const TARGET: &str = "thumbv7em-none-eabihf";
 const PROGRAM: &str = "mps2-an386";
