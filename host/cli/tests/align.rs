@@ -100,6 +100,35 @@ fn text(path: &Path) -> String {
     path.display().to_string()
 }
 
+/// The sound on standard input and the alignment on standard output, by the program itself.
+fn piped_as_well_as_from_a_file(root: &Path, model: &Path) {
+    let (words, samples, _) = sentence(&mut Pcg64::seed_from_u64(6));
+    let (wav, transcript) = (root.join("piped.wav"), root.join("piped.txt"));
+    sound::write(&wav, &samples).unwrap();
+    std::fs::write(&transcript, words.join(" ")).unwrap();
+    let align = |sound: &str, out: &str| {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .args(["align", sound, "-m"])
+            .arg(model)
+            .arg("--transcript")
+            .arg(&transcript)
+            .args(["--format", "json", "-o", out])
+            .stdin(std::fs::File::open(&wav).unwrap())
+            .output()
+            .unwrap();
+        assert!(
+            output.status.success(),
+            "{}",
+            String::from_utf8_lossy(&output.stderr)
+        );
+        output.stdout
+    };
+    let file = root.join("piped.json");
+    align(&text(&wav), &text(&file));
+    let piped = align("-", "-");
+    assert!(!piped.is_empty() && piped == std::fs::read(file).unwrap());
+}
+
 #[test]
 fn borders_are_found_where_they_were_made() {
     let scratch = tempfile::tempdir().unwrap();
@@ -117,6 +146,8 @@ fn borders_are_found_where_they_were_made() {
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let again = one_thread.install(|| train::train(&folder, &settings, Some(&folder.root), &()).unwrap());
     assert_eq!(again, hmm);
+
+    piped_as_well_as_from_a_file(root, &model);
 
     // Sentences that were not trained on, through the program, in every format.
     let mut rng = Pcg64::seed_from_u64(5);

@@ -374,8 +374,35 @@ fn a_dash_is_standard_input_and_output() {
     succeed(&folder, &["cues", &hello, "-m", &model, "-o", "out.tsv"]);
     let piped = through(&folder, &hello, &["cues", "-", "-m", &model, "-o", "-"]);
     assert!(piped == std::fs::read(folder.join("out.tsv")).unwrap());
+    for format in ["htk", "npy"] {
+        let file = format!("out.{format}");
+        succeed(&folder, &["features", &hello, "-o", &file]);
+        let piped = through(&folder, &hello, &["features", "-", "-o", "-", "--format", format]);
+        assert!(piped == std::fs::read(folder.join(&file)).unwrap(), "{format}");
+    }
     let error = refuse(&folder, &["convert", &hello, "-m", &model, "-o", "out.txt"]);
     assert_eq!(error, "out.txt: write .npy, .csv or .json");
+}
+
+/// A writer to a pipe cannot say how long the sound becomes.
+#[test]
+fn a_streamed_sound_is_read_to_its_end() {
+    let folder = common::folder("cli-streamed");
+    let (hello, model) = (hello(), path(&common::root().join("models/grid-s1.tables")));
+    let mut streamed = std::fs::read(&hello).unwrap();
+    for at in [4, 40] {
+        streamed[at..at + 4].fill(0xff);
+    }
+    std::fs::write(folder.join("streamed.wav"), &streamed).unwrap();
+    succeed(&folder, &["convert", &hello, "-m", &model, "-o", "whole.csv"]);
+    succeed(
+        &folder,
+        &["convert", "streamed.wav", "-m", &model, "-o", "file.csv"],
+    );
+    let whole = std::fs::read(folder.join("whole.csv")).unwrap();
+    assert!(whole == std::fs::read(folder.join("file.csv")).unwrap());
+    let streamed = path(&folder.join("streamed.wav"));
+    assert!(whole == through(&folder, &streamed, &["convert", "-", "-m", &model, "-o", "-"]));
 }
 
 /// Pictures on a pipe and in a folder are the same ones.
