@@ -244,6 +244,14 @@ impl Engine {
         })
     }
 
+    /// The device's tables that the fixed engine runs.
+    pub fn tables(&self) -> Option<&Tables<'_>> {
+        match &self.0 {
+            Ready::Fixed(tables) => Some(tables.borrow_dependent()),
+            Ready::Float(_) => None,
+        }
+    }
+
     /// Parameters of a frame.
     pub fn n_parameters(&self) -> usize {
         match &self.0 {

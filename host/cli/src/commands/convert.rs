@@ -7,6 +7,7 @@ use lipstream::out::Format;
 use lipstream::session::Frame;
 use lipstream::time::{frame_count, seconds};
 use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
+use lipstream_live::recording::{Played, Recording};
 
 use super::choices;
 use super::streams::{ending, is_standard, name, open_sound, say, write};
@@ -14,11 +15,11 @@ use super::streams::{ending, is_standard, name, open_sound, say, write};
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis; - is standard input
+    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis; - is standard input. Or a stream that `lipstream record` made (.stream)
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]
-    model: PathBuf,
+    model: Option<PathBuf>,
     /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights); - is standard output
     #[arg(short, long)]
     output: PathBuf,
@@ -55,7 +56,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
             None => bail!("{}: write .npy, .csv or .json", args.output.display()),
         },
     };
-    let engine = Engine::open_with(&args.model, args.engine.into(), args.feedback.is_some())?;
+    if ending(&args.wav) == "stream" {
+        return of_stream(&args, format);
+    }
+    let Some(model) = &args.model else {
+        bail!("speech needs a model: --model MODEL (a recorded .stream needs none)");
+    };
+    let engine = Engine::open_with(model, args.engine.into(), args.feedback.is_some())?;
     let mut sound = open_sound(&args.wav)?;
     let with = RunSettings {
         lag: args.lag,
@@ -107,6 +114,66 @@ pub(crate) fn run(args: Args) -> Result<()> {
         ),
     );
     Ok(())
+}
+
+/// The numbers of a recorded stream, 100 frames a second from its first frame on.
+fn of_stream(args: &Args, format: Format) -> Result<()> {
+    let settings = [
+        args.lag.is_some(),
+        args.beam.is_some(),
+        args.feedback.is_some(),
+        args.profile.is_some(),
+    ];
+    if args.model.is_some() || settings.contains(&true) || args.no_settling {
+        bail!(
+            "{} is converted already: leave out everything but --output and --format",
+            args.wav.display()
+        );
+    }
+    let mut recording = Recording::open(&args.wav)?;
+    let width = recording.hello().scales.len();
+    let mut played = Played::default();
+    write(&args.output, |file| {
+        let mut numbers = format.write(file, width)?;
+        let mut index = 0;
+        played = recording.play(|parameters, visemes| {
+            numbers.frame(&Frame {
+                index,
+                parameters,
+                visemes,
+            })?;
+            index += 1;
+            Ok::<_, anyhow::Error>(())
+        })?;
+        if played.frames == 0 {
+            bail!("{} holds no frame", args.wav.display());
+        }
+        Ok(numbers.finish()?)
+    })?;
+    say(
+        &args.output,
+        &format!("{} of {width} parameters{}", told(&played), anew(&played)),
+    );
+    Ok(())
+}
+
+/// How many frames were played, and how many of them were not in the file.
+pub(super) fn told(played: &Played) -> String {
+    match played.between {
+        0 => format!("{} frames", played.frames),
+        between => format!(
+            "{} frames, {between} of them between those that came,",
+            played.frames
+        ),
+    }
+}
+
+/// A word about a run that ended before the recording did.
+pub(super) fn anew(played: &Played) -> &'static str {
+    match played.began_anew {
+        true => "; the device began anew there, what follows is left out",
+        false => "",
+    }
 }
 
 /// What to do about a setting that cannot be had, in words of the command line.

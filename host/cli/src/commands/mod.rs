@@ -13,11 +13,14 @@ mod evaluate;
 mod export;
 mod features;
 mod prepare;
+mod record;
 mod render;
+mod sources;
 mod streams;
 mod train;
 mod train_mge;
 mod train_shards;
+mod view;
 
 /// Speech in, a talking mouth out.
 #[derive(Debug, Parser)]
@@ -37,8 +40,10 @@ enum Command {
     Export(export::Args),
     Features(features::Args),
     Prepare(prepare::Args),
+    Record(record::Args),
     Render(render::Args),
     Train(Box<train::Train>),
+    View(view::Args),
 }
 
 /// Parses the arguments (the first is the program's name) and runs the command.
@@ -52,8 +57,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
         Command::Prepare(args) => prepare::run(args),
+        Command::Record(args) => record::run(args),
         Command::Render(args) => render::run(args),
         Command::Train(args) => train::run(*args),
+        Command::View(args) => view::run(args),
     }
 }
 

@@ -3,24 +3,25 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 
-use super::choices;
 use super::streams::{ending, file_name, is_standard, name, read_sound, say};
+use super::{choices, convert};
 use crate::progress::Terminal;
 use lipstream::cues;
-use lipstream::engine::{Converted, Engine, RunSettings};
+use lipstream::engine::{Converted, Engine, FloatModel, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::progress::Steps;
 use lipstream::render::{self, Painter, Player, Settings, page};
 use lipstream::session::Frame;
 use lipstream::tensors::Tensors;
 use lipstream::{parameters, time};
+use lipstream_live::recording::Recording;
 use lipstream_media::files;
 use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink, Soundtrack};
 
 /// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), or parameters that `lipstream convert` wrote (.npy, 100 frames a second);
+    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
     /// - is speech on standard input
     input: PathBuf,
     /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
@@ -55,9 +56,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     let space = mouth(&args.model)?;
     let (width, height) = settings.size(&space)?;
-    let said = if ending(&args.input) == "npy" {
+    let said = if ending(&args.input) == "stream" {
+        of_stream(&args, &space, &settings)?
+    } else if ending(&args.input) == "npy" {
         of_parameters(&args, &space, &settings)?
-    } else if args.audio.is_some() {
+    } else if args.audio.is_some() && ending(&args.input) != "stream" {
         bail!("--audio goes with parameters (.npy); speech is its own sound");
     } else if ending(&args.output) == "html" {
         page(&args, &space, &settings)?
@@ -115,6 +118,70 @@ fn of_parameters(args: &Args, space: &MouthSpace, settings: &Settings) -> Result
         pictures,
         sound: sound.is_some(),
     })
+}
+
+/// A film of a recorded stream, with the sound beside it if there is one: the mouths that were shown live.
+fn of_stream(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+    if ending(&args.output) == "html" {
+        bail!("a page shows what the model hears: give speech, not a recorded stream");
+    }
+    let mut recording = Recording::open(&args.input)?;
+    check_model(&args.model, recording.hello().model)?;
+    let beside = args.input.with_extension("wav");
+    let sound = match &args.audio {
+        Some(path) => Some(path),
+        None => beside.is_file().then_some(&beside),
+    };
+    let sound = sound.map(|path| Soundtrack::File(path));
+    let length = match &sound {
+        Some(sound) => Some(sound.samples()?),
+        None => None,
+    };
+    let mut scene = Painter::new(space, settings)?;
+    let mut sink = sink(&args.output, &render::film(&scene, settings, sound))?;
+    let mut player = Player::new(&mut scene, args.fps);
+    let most = length.map(|length| render::picture_count(length, args.fps));
+    let mut pictures = 0;
+    let mut picture = |rgb: &[u8]| {
+        // The sound may end before the frames do.
+        if most.is_none_or(|most| pictures < most) {
+            sink.picture(rgb)?;
+            pictures += 1;
+        }
+        Ok::<_, anyhow::Error>(())
+    };
+    let played = recording.play(|parameters, _| player.frame(parameters, &mut picture))?;
+    if played.frames == 0 {
+        bail!("{} holds no frame", args.input.display());
+    }
+    let covered = time::samples_covered(played.frames);
+    player.finish(length.unwrap_or(covered), &mut picture)?;
+    sink.finish()?;
+    if played.began_anew || played.between > 0 {
+        eprintln!("{}{}", convert::told(&played), convert::anew(&played));
+    }
+    Ok(Drawn {
+        pictures,
+        sound: sound.is_some(),
+    })
+}
+
+/// A stream can only be drawn with the mouth of the model that it came from.
+fn check_model(path: &Path, id: u32) -> Result<()> {
+    let tensors = Tensors::read(path)?;
+    let Ok(model) = FloatModel::of_tensors(&tensors) else {
+        // The mouth.safetensors of a feature folder is no model, and knows of none.
+        return Ok(());
+    };
+    let engine = Engine::fixed(model.export(false)?)?;
+    let ours = engine.tables().map_or(0, |tables| tables.head().id());
+    if ours != id {
+        bail!(
+            "the stream is of model {id:08x}, {} is {ours:08x}: draw it with the model that the device runs",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 /// A film of speech, which is read piece by piece: once for its length, once by the sink, and once by the model.

@@ -164,8 +164,13 @@ impl BlendSet {
         writeln!(to, "time,{}", self.names().join(","))?;
         Ok(Box::new(Csv {
             to,
-            rows: self.rows(),
+            blender: self.blender(),
         }))
+    }
+
+    /// What turns viseme weights into weights of this set.
+    pub fn blender(self) -> Blender {
+        Blender { rows: self.rows() }
     }
 
     /// Weight of every shape, for a weight of 1 of each viseme.
@@ -194,23 +199,39 @@ impl BlendSet {
     }
 }
 
+/// Viseme weights into weights of a [`BlendSet`].
+#[derive(Clone, Debug)]
+pub struct Blender {
+    rows: [Vec<f32>; VISEMES.len()],
+}
+
+impl Blender {
+    /// Weight of each shape of the set, 0 to 1, for viseme weights `[13]`; all 0 where a model has no visemes.
+    pub fn blend(&self, visemes: impl IntoIterator<Item = f32>) -> Vec<f32> {
+        let mut sums = vec![0.0f32; self.rows[0].len()];
+        for (weight, row) in visemes.into_iter().zip(&self.rows) {
+            for (sum, share) in sums.iter_mut().zip(row) {
+                *sum += weight * share;
+            }
+        }
+        for sum in &mut sums {
+            *sum = sum.clamp(0.0, 1.0);
+        }
+        sums
+    }
+}
+
 struct Csv<W> {
     to: W,
-    rows: [Vec<f32>; VISEMES.len()],
+    blender: Blender,
 }
 
 impl<W: Write> Numbers for Csv<W> {
     fn frame(&mut self, frame: &Frame) -> io::Result<()> {
         check(frame.visemes, frame.index).map_err(io::Error::other)?;
-        let mut sums = vec![0.0f32; self.rows[0].len()];
-        for (&w, row) in frame.visemes.iter().zip(&self.rows) {
-            for (sum, share) in sums.iter_mut().zip(row) {
-                *sum += w * share;
-            }
-        }
         write!(self.to, "{:.4}", frame_seconds(frame.index))?;
-        for sum in sums {
-            write!(self.to, ",{:.3}", sum.clamp(0.0, 1.0))?;
+        for weight in self.blender.blend(frame.visemes.iter().copied()) {
+            write!(self.to, ",{weight:.3}")?;
         }
         writeln!(self.to)
     }

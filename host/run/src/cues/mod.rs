@@ -20,7 +20,7 @@ use crate::time::border_seconds;
 mod blend;
 mod formats;
 
-pub use blend::{ARKIT, BlendSet, OCULUS};
+pub use blend::{ARKIT, BlendSet, Blender, OCULUS};
 pub use formats::{Format, write};
 
 /// A mouth shape of Rhubarb Lip Sync (the six of Preston Blair's tradition, and G, H, X).

@@ -1,0 +1,195 @@
+//! What `view` and `record` have in common: where frames come from, and what else they go to.
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::{Context as _, Result, bail};
+use lipstream::engine::{Engine, FloatModel, Kind};
+use lipstream::mouth::MouthSpace;
+use lipstream::shipped;
+use lipstream::tensors::Tensors;
+use lipstream_live::address::{Address, AddressError};
+use lipstream_live::clock::Clock;
+use lipstream_live::desk::Mouth;
+use lipstream_live::driver::{Setup, Source};
+use lipstream_live::event::{Event, Level};
+use lipstream_live::feed::Speech;
+use lipstream_live::hub::{Hub, Missed};
+use lipstream_live::outputs::{self, Target};
+
+use super::choices;
+
+/// Where frames come from, and where else they go.
+#[derive(Debug, clap::Args)]
+pub(crate) struct SourceArgs {
+    /// Where frames come from: a serial port (/dev/ttyACM0, or /dev/ttyACM0@1000000 for another rate than 115200), tcp://HOST:PORT, a
+    /// recorded stream, or - for standard input [default: the device that is plugged in]
+    source: Option<String>,
+    /// Speech that is spoken in real time: to the device, or without one to the model in this program
+    #[arg(long, value_name = "SOUND")]
+    wav: Option<PathBuf>,
+    /// The firmware in QEMU is the device [default program: what `cargo build` makes of it in this folder]
+    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, conflicts_with = "source")]
+    qemu: Option<Option<PathBuf>>,
+    /// Begin the speech again when it has ended
+    #[arg(long, requires = "wav")]
+    repeat: bool,
+    /// Model (.safetensors) of the device or of the speech [default: the shipped one]
+    #[arg(short, long)]
+    model: Option<PathBuf>,
+    /// Delay that is allowed: live 45 ms, standard 80 ms, studio without limit [default: the device's own]
+    #[arg(long, value_enum)]
+    profile: Option<choices::Profile>,
+    /// Also to another program: vmc://HOST:PORT, livelink://HOST:PORT, e131://HOST/UNIVERSE, json:FILE, csv:FILE (- is standard output);
+    /// may be given several times
+    #[arg(long, value_name = "TARGET")]
+    to: Vec<Target>,
+}
+
+/// Where `cargo build` puts the firmware for QEMU's board (README).
+const FIRMWARE: &str = "target/thumbv7em-none-eabihf/firmware/mps2-an386";
+
+impl SourceArgs {
+    /// Whether standard output is taken.
+    pub(crate) fn takes_standard_output(&self) -> bool {
+        self.to.iter().any(Target::is_standard)
+    }
+
+    /// Models at hand: what runs in this program, and what can be drawn.
+    pub(crate) fn models(&self) -> Result<Models> {
+        let shipped = Arc::new(Engine::shipped());
+        let mut models = Models {
+            mouths: vec![mouth(
+                &Tensors::parse(shipped::MODEL, "the shipped model")?,
+                &shipped,
+            )?],
+            engine: Arc::clone(&shipped),
+            shipped,
+        };
+        if let Some(path) = &self.model {
+            let tensors = Tensors::read(path)?;
+            let unusable = || format!("{} is no usable model", path.display());
+            let engine = Engine::fixed(
+                FloatModel::of_tensors(&tensors)
+                    .and_then(|model| model.export(false))
+                    .with_context(unusable)?,
+            )?;
+            if tensors.has("mouth.mean") {
+                models
+                    .mouths
+                    .push(mouth(&tensors, &engine).with_context(unusable)?);
+            }
+            models.engine = Arc::new(engine);
+        }
+        Ok(models)
+    }
+
+    /// What to attach; None where nothing was asked for and nothing is plugged in.
+    pub(crate) fn setup(&self, models: &Models, hub: &Arc<Hub>, clock: Clock) -> Result<Option<Setup>> {
+        let address = match (&self.source, &self.qemu) {
+            (Some(words), _) => Some(words.parse::<Address>()?),
+            (None, Some(program)) => Some(Address::Qemu(firmware(program.as_deref())?)),
+            (None, None) if self.wav.is_some() => None,
+            (None, None) => match Address::find() {
+                Ok(address) => Some(address),
+                Err(AddressError::None) => return Ok(None),
+                Err(error) => return Err(error.into()),
+            },
+        };
+        if let (Some(address), Some(wav)) = (&address, &self.wav)
+            && !address.obeys()
+        {
+            bail!(
+                "{address} does not listen: {} cannot be spoken to it",
+                wav.display()
+            );
+        }
+        if let Some(wav) = &self.wav {
+            // What is wrong with the file is said now, not when it is spoken.
+            Speech::File(wav.clone()).open()?;
+        }
+        Ok(Some(Setup {
+            source: match address {
+                Some(address) => Source::Line(address),
+                None => Source::Inside(Arc::clone(&models.engine)),
+            },
+            speech: self.wav.clone().map(Speech::File),
+            repeat: self.repeat,
+            profile: self.profile.map(Into::into),
+            hub: Arc::clone(hub),
+            clock,
+        }))
+    }
+
+    /// Starts everything that frames also go to.
+    pub(crate) fn start_outputs(&self, hub: &Arc<Hub>) -> Result<()> {
+        for target in &self.to {
+            let output = target
+                .open()
+                .with_context(|| format!("cannot send to {target}"))?;
+            outputs::start(hub, &target.to_string(), output);
+        }
+        Ok(())
+    }
+}
+
+/// What [`SourceArgs::models`] gives.
+pub(crate) struct Models {
+    pub(crate) engine: Arc<Engine>,
+    pub(crate) shipped: Arc<Engine>,
+    pub(crate) mouths: Vec<Mouth>,
+}
+
+/// The mouth in a model's file, for frames of the model that `engine` runs.
+fn mouth(tensors: &Tensors, engine: &Engine) -> Result<Mouth> {
+    let id = engine.tables().map_or(0, |tables| tables.head().id());
+    Ok(Mouth::new(id, &MouthSpace::load(tensors)?))
+}
+
+fn firmware(named: Option<&Path>) -> Result<PathBuf> {
+    let path = named.unwrap_or(Path::new(FIRMWARE));
+    if !path.is_file() {
+        bail!(
+            "no firmware at {}: build it with `cargo build -p lipstream-firmware --features mps2-an386 --bin mps2-an386 --target \
+             thumbv7em-none-eabihf --profile firmware`, or name it (--qemu PROGRAM)",
+            path.display()
+        );
+    }
+    Ok(path.to_owned())
+}
+
+/// Prints notices as they come, on standard error.
+pub(crate) fn print_notices(hub: &Hub) {
+    let (_, mut events) = hub.watch();
+    std::thread::spawn(move || {
+        loop {
+            match events.wait() {
+                Ok(Event::Notice(notice)) => {
+                    let word = match notice.level {
+                        Level::Info => "",
+                        Level::Warning => "warning: ",
+                        Level::Error => "error: ",
+                    };
+                    eprintln!("{word}{}", notice.text);
+                }
+                Ok(Event::End(text)) => eprintln!("{text}"),
+                Ok(_) | Err(Missed::Slow(_)) => {}
+                Err(Missed::Over) => return,
+            }
+        }
+    });
+}
+
+/// True once somebody has pressed Ctrl-C, or the program was asked to end.
+pub(crate) fn interrupted() -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let set = Arc::clone(&flag);
+    ctrlc::set_handler(move || {
+        // The second time it ends at once.
+        if set.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .context("cannot listen for Ctrl-C")?;
+    Ok(flag)
+}

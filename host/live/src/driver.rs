@@ -1,0 +1,705 @@
+//! What owns the device: reads it, feeds it, waits for it when it is gone, and tells everyone.
+use std::collections::VecDeque;
+use std::io::{Read, Write};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use lipstream::engine::Engine;
+use lipstream::link::{Link, Losses, greeting};
+use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, Pcm, Profile, Status, ToDevice, ToHost, encode};
+use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
+use lipstream_media::sound::SoundError;
+
+use crate::address::Address;
+use crate::clock::Clock;
+use crate::event::{Announcement, Command, Event, Health, Level, Notice, Sound, Timed};
+use crate::feed::{Feed, Hop, Speech};
+use crate::hub::Hub;
+use crate::inside::{self, Order};
+use crate::port::{self, Port};
+use crate::qemu::Machine;
+use crate::recording::Recording;
+
+/// Time between two tries to open a device that is away.
+const RETRY: Duration = Duration::from_millis(500);
+/// Time between two reports of [`Health`].
+const REPORT: Duration = Duration::from_secs(1);
+/// Frames that fail to come for so long are worth a word.
+const STALL: Duration = Duration::from_secs(2);
+/// Messages to a device that does not take them now: two seconds of sound.
+const BACKLOG: usize = 200;
+/// Hops of sound whose time is remembered: half a minute.
+const REMEMBERED: usize = 3000;
+
+/// Who makes frames.
+pub enum Source {
+    /// A device at the end of a line, or a recording of one.
+    Line(Address),
+    /// The device's own code in this program; the engine must be the fixed one.
+    Inside(Arc<Engine>),
+}
+
+/// What a driver is to do.
+pub struct Setup {
+    /// Who makes frames.
+    pub source: Source,
+    /// What is spoken to it, in real time.
+    pub speech: Option<Speech>,
+    /// Whether the speech begins again when it has ended.
+    pub repeat: bool,
+    /// Which trade of delay against quality is asked for at first; the device's own where none is.
+    pub profile: Option<Profile>,
+    /// Who is told.
+    pub hub: Arc<Hub>,
+    /// The host's clock.
+    pub clock: Clock,
+}
+
+/// A running driver; it ends when this value is dropped.
+pub struct Driver {
+    inputs: Sender<Input>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Driver {
+    /// Starts a driver on a thread of its own.
+    pub fn start(setup: Setup) -> Self {
+        let (inputs, received) = channel();
+        let own = inputs.clone();
+        let thread = std::thread::spawn(move || Running::new(setup, own).run(&received));
+        Self {
+            inputs,
+            thread: Some(thread),
+        }
+    }
+
+    /// A handle by which watchers ask for something.
+    pub fn commands(&self) -> Commands {
+        Commands(self.inputs.clone())
+    }
+
+    /// Whether it has come to its end: the source ended, and cannot come back.
+    pub fn has_ended(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+}
+
+impl Drop for Driver {
+    fn drop(&mut self) {
+        let _ = self.inputs.send(Input::Quit);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Asks the source for something.
+#[derive(Clone)]
+pub struct Commands(Sender<Input>);
+
+impl Commands {
+    /// Asks; a driver that has ended hears nothing.
+    pub fn send(&self, command: Command) {
+        let _ = self.0.send(Input::Command(command));
+    }
+}
+
+/// What happens to a driver. Lines and feeds are counted, so that what an old one still says is not taken for the new one's.
+enum Input {
+    Bytes(u64, Vec<u8>),
+    Message(u64, ToHost),
+    Closed(u64, Option<String>),
+    Hop(u64, Hop, f64),
+    SpeechEnded(u64, Option<SoundError>),
+    Command(Command),
+    Quit,
+}
+
+/// The device at the other end.
+enum Device {
+    Line {
+        /// None where nobody listens.
+        write: Option<SyncSender<Vec<u8>>>,
+        wanted: Arc<AtomicBool>,
+        _machine: Option<Machine>,
+    },
+    Inside(Sender<Order>),
+}
+
+impl Drop for Device {
+    fn drop(&mut self) {
+        if let Device::Line { wanted, .. } = self {
+            wanted.store(false, Ordering::Relaxed);
+        }
+    }
+}
+
+struct Running {
+    setup: Setup,
+    inputs: Sender<Input>,
+    device: Option<Device>,
+    link: Link,
+    /// Losses on lines that were closed.
+    before: Losses,
+    line: u64,
+    /// When a device that is away is looked for again.
+    retry: Option<Instant>,
+    away_said: bool,
+    profile: Option<Profile>,
+    announcement: Option<Arc<Announcement>>,
+    /// The next `Hello` begins a new run.
+    fresh: bool,
+    running: bool,
+    /// Sample of the last frame, not wrapped.
+    sample: Option<u64>,
+    sequence: u32,
+    last_frame: Instant,
+    stalled: bool,
+    status: Status,
+    feed: Option<Feed>,
+    feeds: u64,
+    /// Number of the next sample that is fed, and when the last hops were heard.
+    fed: u64,
+    heard: VecDeque<(u64, f64)>,
+    pcm: u32,
+    /// Whether the device has been told that the sound has ended.
+    ending: bool,
+    said: Option<Arc<str>>,
+}
+
+impl Running {
+    fn new(setup: Setup, inputs: Sender<Input>) -> Self {
+        Self {
+            profile: setup.profile,
+            setup,
+            inputs,
+            device: None,
+            link: Link::new(None),
+            before: Losses::default(),
+            line: 0,
+            retry: Some(Instant::now()),
+            away_said: false,
+            announcement: None,
+            fresh: true,
+            running: false,
+            sample: None,
+            sequence: 0,
+            last_frame: Instant::now(),
+            stalled: false,
+            status: Status::default(),
+            feed: None,
+            feeds: 0,
+            fed: 0,
+            heard: VecDeque::new(),
+            pcm: 0,
+            ending: false,
+            said: None,
+        }
+    }
+
+    fn run(mut self, inputs: &Receiver<Input>) {
+        let mut report = Instant::now() + REPORT;
+        loop {
+            let now = Instant::now();
+            if self.retry.is_some_and(|at| at <= now) {
+                self.retry = None;
+                self.open();
+            }
+            if report <= now {
+                report = now + REPORT;
+                self.report();
+            }
+            let until = self.retry.map_or(report, |retry| retry.min(report));
+            let goes_on = match inputs.recv_timeout(until.saturating_duration_since(now)) {
+                Ok(input) => self.take(input),
+                Err(RecvTimeoutError::Timeout) => true,
+                Err(RecvTimeoutError::Disconnected) => false,
+            };
+            if !goes_on {
+                return;
+            }
+        }
+    }
+
+    /// Takes what happened; false when there is nothing more to wait for.
+    fn take(&mut self, input: Input) -> bool {
+        match input {
+            Input::Bytes(line, bytes) if line == self.line => self.bytes(&bytes),
+            Input::Message(line, message) if line == self.line => self.message(message),
+            Input::Closed(line, why) if line == self.line => return self.closed(why),
+            Input::Hop(feed, hop, heard_ms) if feed == self.feeds => self.hop(hop, heard_ms),
+            Input::SpeechEnded(feed, error) if feed == self.feeds => return self.speech_ended(error),
+            Input::Command(command) => self.obey(command),
+            Input::Quit => return false,
+            Input::Bytes(..)
+            | Input::Message(..)
+            | Input::Closed(..)
+            | Input::Hop(..)
+            | Input::SpeechEnded(..) => {}
+        }
+        true
+    }
+
+    /// Opens the line, and begins.
+    fn open(&mut self) {
+        self.line += 1;
+        self.before = sum(self.before, self.link.losses());
+        self.link = Link::new(None);
+        self.fresh = true;
+        let (line, inputs) = (self.line, self.inputs.clone());
+        let device = match &self.setup.source {
+            Source::Inside(engine) => {
+                let say = move |message| inputs.send(Input::Message(line, message)).is_ok();
+                let profile = self.profile.unwrap_or(Profile::Standard);
+                Device::Inside(inside::start(Arc::clone(engine), profile, say))
+            }
+            Source::Line(address) => match open_line(address, line, inputs) {
+                Ok(device) => device,
+                Err(why) => {
+                    self.away(&why);
+                    return;
+                }
+            },
+        };
+        if std::mem::take(&mut self.away_said) {
+            self.notice(Level::Info, format!("{} is back", self.name()));
+        }
+        self.device = Some(device);
+        self.last_frame = Instant::now();
+        self.tell(ToDevice::Hello {
+            protocol: lipstream_core::wire::PROTOCOL,
+        });
+        if self.setup.speech.is_some() || self.profile.is_some() {
+            self.begin();
+        }
+    }
+
+    /// A device that cannot be opened is waited for, if it is one that comes back.
+    fn away(&mut self, why: &str) {
+        let comes_back = matches!(&self.setup.source, Source::Line(address) if address.comes_back());
+        let name = self.name();
+        if comes_back {
+            self.retry = Some(Instant::now() + RETRY);
+            if !std::mem::replace(&mut self.away_said, true) {
+                self.notice(Level::Warning, format!("waiting for {name}: {why}"));
+            }
+        } else {
+            self.notice(Level::Error, format!("{name} cannot be opened: {why}"));
+            self.end(&format!("{name} cannot be opened: {why}"));
+        }
+    }
+
+    fn name(&self) -> String {
+        match &self.setup.source {
+            Source::Line(address) => address.to_string(),
+            Source::Inside(_) => "the model in this program".to_owned(),
+        }
+    }
+
+    /// Starts a run from its beginning.
+    fn begin(&mut self) {
+        self.fresh = true;
+        self.running = true;
+        self.ending = false;
+        self.fed = 0;
+        self.pcm = 0;
+        self.heard.clear();
+        self.feed = None;
+        self.feeds += 1;
+        match self.profile {
+            Some(profile) => self.tell(ToDevice::Profile(profile)),
+            None => self.tell(ToDevice::Start),
+        }
+        let Some(speech) = &self.setup.speech else { return };
+        let (feed, inputs) = (self.feeds, self.inputs.clone());
+        match speech.open() {
+            Ok(sound) => {
+                self.feed = Some(Feed::start(sound, self.setup.clock, move |hop| {
+                    let input = match hop {
+                        Ok(Some((hop, heard_ms))) => Input::Hop(feed, hop, heard_ms),
+                        Ok(None) => Input::SpeechEnded(feed, None),
+                        Err(error) => Input::SpeechEnded(feed, Some(error)),
+                    };
+                    inputs.send(input).is_ok()
+                }));
+            }
+            Err(error) => {
+                let _ = inputs.send(Input::SpeechEnded(feed, Some(error)));
+            }
+        }
+    }
+
+    /// Says something to the device. What it does not take in time is lost, and shows in its own counts.
+    fn tell(&mut self, message: ToDevice) {
+        match &self.device {
+            Some(Device::Inside(orders)) => {
+                let order = match message {
+                    ToDevice::Start => Order::Start,
+                    ToDevice::Stop => Order::Stop,
+                    ToDevice::Profile(profile) => Order::Profile(profile),
+                    ToDevice::Pcm(pcm) => Order::Samples(pcm.samples().collect()),
+                    ToDevice::Hello { .. } => Order::Hello,
+                };
+                let _ = orders.send(order);
+            }
+            Some(Device::Line {
+                write: Some(write), ..
+            }) => {
+                let bytes = match message {
+                    ToDevice::Hello { .. } => greeting(),
+                    message => {
+                        encode(&message, &mut [0; MAX_ENCODED]).map_or_else(|_| Vec::new(), |b| b.to_vec())
+                    }
+                };
+                if let Err(TrySendError::Full(_)) = write.try_send(bytes) {
+                    self.say_once(Level::Warning, "the device does not take what it is sent");
+                }
+            }
+            Some(Device::Line { write: None, .. }) | None => {}
+        }
+    }
+
+    fn obeys(&self) -> bool {
+        match &self.setup.source {
+            Source::Line(address) => address.obeys(),
+            Source::Inside(_) => true,
+        }
+    }
+
+    fn bytes(&mut self, bytes: &[u8]) {
+        let mut messages = Vec::new();
+        let read = self.link.push(bytes, |message| messages.push(message));
+        for message in messages {
+            self.message(message);
+        }
+        if let Err(error) = read {
+            self.say_once(Level::Error, &error.to_string());
+        }
+    }
+
+    fn message(&mut self, message: ToHost) {
+        match message {
+            ToHost::Hello(hello) => self.hello(hello),
+            ToHost::Frame(frame) => self.frame(frame),
+            ToHost::Status(status) => {
+                self.status = status;
+                if std::mem::take(&mut self.ending) {
+                    self.running = false;
+                    match self.setup.repeat {
+                        true => self.begin(),
+                        false => self.end("the sound has ended"),
+                    }
+                }
+            }
+        }
+    }
+
+    fn hello(&mut self, hello: Hello) {
+        let known = self.announcement.as_ref().is_some_and(|a| a.hello == hello);
+        if known && !self.fresh {
+            return;
+        }
+        if let Some(before) = &self.announcement
+            && before.hello.model != hello.model
+        {
+            let (then, now) = (before.hello.model, hello.model);
+            self.notice(
+                Level::Warning,
+                format!("the device runs another model: {now:08x} in place of {then:08x}"),
+            );
+        }
+        self.announce(hello);
+    }
+
+    /// Tells everyone that a run begins.
+    fn announce(&mut self, hello: Hello) {
+        self.fresh = false;
+        self.sample = None;
+        let announcement = Arc::new(Announcement {
+            source: self.name(),
+            hello,
+            profile: self.profile,
+            sound: self.setup.speech.is_some(),
+            obeys: self.obeys(),
+            running: self.running || self.setup.speech.is_none(),
+        });
+        self.announcement = Some(Arc::clone(&announcement));
+        self.setup.hub.send(Event::Hello(announcement));
+    }
+
+    fn frame(&mut self, frame: Frame) {
+        let Some(announcement) = self.announcement.clone() else {
+            return;
+        };
+        let goes_back = frame.sequence.wrapping_sub(self.sequence) > u32::MAX / 2;
+        if self.sample.is_some() && goes_back {
+            self.notice(Level::Info, "the device began anew".to_owned());
+            self.announce(announcement.hello.clone());
+        }
+        self.sequence = frame.sequence;
+        let sample = match self.sample {
+            None => u64::from(frame.sample),
+            Some(last) => last.wrapping_add_signed(i64::from(frame.sample.wrapping_sub(last as u32) as i32)),
+        };
+        self.sample = Some(sample);
+        self.last_frame = Instant::now();
+        self.stalled = false;
+        let timed = Timed {
+            heard_ms: self.heard_ms(sample),
+            arrived_ms: self.setup.clock.now_ms(),
+            hello: self.announcement.clone().unwrap_or(announcement),
+            frame,
+            sample,
+        };
+        self.setup.hub.send(Event::Frame(Arc::new(timed)));
+    }
+
+    /// When a sample was heard, where the host spoke it.
+    fn heard_ms(&self, sample: u64) -> Option<f64> {
+        let after = self.heard.partition_point(|(first, _)| *first <= sample);
+        let (first, ms) = self.heard.get(after.checked_sub(1)?)?;
+        let offset = sample - first;
+        (offset < HOP_SAMPLES as u64).then(|| ms + offset as f64 * 1000.0 / f64::from(SAMPLE_RATE_HZ))
+    }
+
+    fn hop(&mut self, Hop(samples): Hop, heard_ms: f64) {
+        self.heard.push_back((self.fed, heard_ms));
+        if self.heard.len() > REMEMBERED {
+            self.heard.pop_front();
+        }
+        let (sequence, first) = (self.pcm, self.fed);
+        self.pcm = self.pcm.wrapping_add(1);
+        self.fed += samples.len() as u64;
+        self.tell(ToDevice::Pcm(Pcm::new(
+            sequence,
+            &samples,
+            &mut [0; 2 * lipstream_core::wire::MAX_PCM_SAMPLES],
+        )));
+        self.setup.hub.send(Event::Sound(Arc::new(Sound {
+            sample: first,
+            samples,
+            heard_ms,
+        })));
+    }
+
+    fn speech_ended(&mut self, error: Option<SoundError>) -> bool {
+        self.feed = None;
+        if let Some(error) = error {
+            let text = chain(&error);
+            self.notice(Level::Error, text.clone());
+            self.end(&text);
+            return true;
+        }
+        self.ending = true;
+        self.tell(ToDevice::Stop);
+        true
+    }
+
+    /// The line has broken off; false when it will not come back.
+    fn closed(&mut self, why: Option<String>) -> bool {
+        self.device = None;
+        self.feed = None;
+        self.feeds += 1;
+        let Source::Line(address) = &self.setup.source else {
+            return true;
+        };
+        let name = address.to_string();
+        if address.comes_back() {
+            self.away_said = true;
+            self.retry = Some(Instant::now() + RETRY);
+            let why = why.map_or(String::new(), |why| format!(" ({why})"));
+            self.notice(Level::Warning, format!("{name} is gone{why}; waiting for it"));
+            return true;
+        }
+        match why {
+            Some(why) => {
+                self.notice(Level::Error, format!("{name}: {why}"));
+                self.end(&format!("{name} ended: {why}"));
+            }
+            None => self.end(&format!("{name} has ended")),
+        }
+        true
+    }
+
+    fn obey(&mut self, command: Command) {
+        match command {
+            Command::Start => match self.setup.source {
+                // A recording begins anew by being opened anew.
+                Source::Line(Address::Recording(_)) => {
+                    self.device = None;
+                    self.open();
+                }
+                _ => self.begin(),
+            },
+            Command::Stop => {
+                self.feed = None;
+                self.feeds += 1;
+                self.running = false;
+                self.tell(ToDevice::Stop);
+            }
+            Command::Profile(profile) => {
+                self.profile = Some(profile);
+                self.begin();
+            }
+        }
+    }
+
+    fn report(&mut self) {
+        let expected = self.device.is_some() && self.running && !self.ending;
+        if expected && self.last_frame.elapsed() > STALL && !std::mem::replace(&mut self.stalled, true) {
+            self.notice(
+                Level::Warning,
+                format!("{} has said nothing for 2 s", self.name()),
+            );
+        }
+        self.setup.hub.send(Event::Status(Health {
+            device: self.status,
+            losses: sum(self.before, self.link.losses()),
+        }));
+    }
+
+    fn notice(&self, level: Level, text: String) {
+        self.setup.hub.send(Event::Notice(Notice {
+            level,
+            text: text.into(),
+        }));
+    }
+
+    /// A notice whose cause may go on and on.
+    fn say_once(&mut self, level: Level, text: &str) {
+        if self.said.as_deref() != Some(text) {
+            self.said = Some(text.into());
+            self.notice(level, text.to_owned());
+        }
+    }
+
+    fn end(&self, text: &str) {
+        self.setup.hub.send(Event::End(text.into()));
+    }
+}
+
+/// Opens a line and starts what reads and writes it.
+fn open_line(address: &Address, line: u64, inputs: Sender<Input>) -> Result<Device, String> {
+    let wanted = Arc::new(AtomicBool::new(true));
+    if let Address::Recording(path) = address {
+        let recording = Recording::open(path).map_err(|e| chain(&e))?;
+        let still = Arc::clone(&wanted);
+        std::thread::spawn(move || replay(recording, line, &inputs, &still));
+        return Ok(Device::Line {
+            write: None,
+            wanted,
+            _machine: None,
+        });
+    }
+    let Port { read, write, machine } = port::open(address).map_err(|e| e.to_string())?;
+    let write = write.map(|write| {
+        let (sender, messages) = sync_channel(BACKLOG);
+        std::thread::spawn(move || write_on(write, &messages));
+        sender
+    });
+    let still = Arc::clone(&wanted);
+    std::thread::spawn(move || read_on(read, line, &inputs, &still));
+    Ok(Device::Line {
+        write,
+        wanted,
+        _machine: machine,
+    })
+}
+
+/// Hands over bytes as they come.
+fn read_on(mut read: impl Read, line: u64, inputs: &Sender<Input>, wanted: &AtomicBool) {
+    let mut buffer = [0; 4096];
+    while wanted.load(Ordering::Relaxed) {
+        let why = match read.read(&mut buffer) {
+            Ok(0) => None,
+            Ok(count) => {
+                if inputs.send(Input::Bytes(line, buffer[..count].to_vec())).is_err() {
+                    return;
+                }
+                continue;
+            }
+            Err(error) if port::is_patience(&error) => continue,
+            Err(error) => Some(error.to_string()),
+        };
+        let _ = inputs.send(Input::Closed(line, why));
+        return;
+    }
+}
+
+/// Writes messages as they come. That the line has broken shows at its reader.
+fn write_on(mut write: impl Write, messages: &Receiver<Vec<u8>>) {
+    while let Ok(bytes) = messages.recv() {
+        if let Err(error) = write.write_all(&bytes)
+            && !port::is_patience(&error)
+        {
+            return;
+        }
+    }
+}
+
+/// Hands over the messages of a recording, each frame when its sample comes.
+fn replay(mut recording: Recording, line: u64, inputs: &Sender<Input>, wanted: &AtomicBool) {
+    let mut first: Option<(u32, Instant)> = None;
+    loop {
+        let message = match recording.message() {
+            Ok(Some(message)) => message,
+            Ok(None) => {
+                let _ = inputs.send(Input::Closed(line, None));
+                return;
+            }
+            Err(error) => {
+                let _ = inputs.send(Input::Closed(line, Some(chain(&error))));
+                return;
+            }
+        };
+        if let ToHost::Frame(frame) = &message {
+            let (sample, began) = *first.get_or_insert((frame.sample, Instant::now()));
+            let after = frame.sample.wrapping_sub(sample);
+            match after > u32::MAX / 2 {
+                // A run that began anew.
+                true => first = Some((frame.sample, Instant::now())),
+                false => {
+                    let due = began + Duration::from_secs_f64(f64::from(after) / f64::from(SAMPLE_RATE_HZ));
+                    // In pieces, so that one who is not wanted any more ends soon, and a gap of hours in the file is not slept through.
+                    while let Some(left) = due.checked_duration_since(Instant::now()) {
+                        if left > Duration::from_secs(3) {
+                            first = Some((frame.sample, Instant::now()));
+                            break;
+                        }
+                        std::thread::sleep(left.min(Duration::from_millis(100)));
+                        if !wanted.load(Ordering::Relaxed) {
+                            return;
+                        }
+                    }
+                }
+            }
+        }
+        if !wanted.load(Ordering::Relaxed) || inputs.send(Input::Message(line, message)).is_err() {
+            return;
+        }
+    }
+}
+
+fn sum(a: Losses, b: Losses) -> Losses {
+    Losses {
+        frames: a.frames + b.frames,
+        damaged: a.damaged + b.damaged,
+        unknown: a.unknown + b.unknown,
+        unread: a.unread + b.unread,
+        restarts: a.restarts + b.restarts,
+    }
+}
+
+/// An error with its causes in one line.
+pub(crate) fn chain(error: &dyn std::error::Error) -> String {
+    let mut out = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        out += &format!(": {error}");
+        cause = error.source();
+    }
+    out
+}

@@ -1,0 +1,176 @@
+//! Lines of text: JSON and CSV, for scripts.
+use std::io::{self, Write};
+
+use lipstream::phones::VISEMES;
+use lipstream_core::SAMPLE_RATE_HZ;
+use lipstream_core::wire::Profile;
+use serde_json::{Value, json as object};
+
+use super::Output;
+use crate::event::{Event, Level, Timed};
+
+/// An event as the object that a line of JSON or the WebSocket carries (`docs/live.md`); None for sound, which is no text.
+pub fn json(event: &Event) -> Option<Value> {
+    Some(match event {
+        Event::Hello(said) => {
+            let groups: Vec<Value> = said
+                .hello
+                .groups
+                .iter()
+                .map(|group| object!({ "name": group.name.as_str(), "size": group.size }))
+                .collect();
+            let visemes: Vec<Value> = VISEMES
+                .iter()
+                .zip(WORDS)
+                .take(usize::from(said.hello.visemes))
+                .map(|(name, words)| object!({ "name": name, "words": words }))
+                .collect();
+            object!({
+                "type": "hello",
+                "protocol": PROTOCOL,
+                "source": said.source,
+                "model": format!("{:08x}", said.hello.model),
+                "rate_hz": said.hello.rate_hz,
+                "sample_rate_hz": SAMPLE_RATE_HZ,
+                "lag_samples": said.hello.lag_samples,
+                "groups": groups,
+                "visemes": visemes,
+                "sound": said.sound,
+                "profile": said.profile.map(profile_word),
+                "running": said.running,
+            })
+        }
+        Event::Frame(timed) => object!({
+            "type": "frame",
+            "sequence": timed.frame.sequence,
+            "sample": timed.sample,
+            "time_s": seconds(timed),
+            "parameters": timed.parameters().collect::<Vec<f32>>(),
+            "visemes": timed.visemes().collect::<Vec<f32>>(),
+        }),
+        Event::Status(health) => object!({
+            "type": "status",
+            "load_permille": health.device.load_permille,
+            "overruns": health.device.overruns,
+            "dropped": health.device.dropped,
+            "narrowed": health.device.narrowed,
+            "unknown": health.device.unknown,
+            "losses": {
+                "frames": health.losses.frames,
+                "damaged": health.losses.damaged,
+                "unknown": health.losses.unknown,
+                "unread": health.losses.unread,
+                "restarts": health.losses.restarts,
+            },
+        }),
+        Event::Notice(notice) => object!({
+            "type": "notice",
+            "level": match notice.level {
+                Level::Info => "info",
+                Level::Warning => "warning",
+                Level::Error => "error",
+            },
+            "text": &*notice.text,
+        }),
+        Event::End(text) => object!({ "type": "end", "text": &**text }),
+        Event::Sound(_) => return None,
+    })
+}
+
+/// Version of these objects.
+const PROTOCOL: u8 = 1;
+
+/// What each viseme looks like, in the order of [`VISEMES`], for people who do not know the table's names.
+pub(crate) const WORDS: [&str; VISEMES.len()] = [
+    "at rest",
+    "wide open (ah)",
+    "puckered (oo)",
+    "open (eh)",
+    "spread (ee)",
+    "tongue raised (l, r)",
+    "teeth together (s, z)",
+    "tongue behind the teeth (t, d, n)",
+    "funnel (sh, ch)",
+    "lips closed (p, b, m)",
+    "tongue between the teeth (th)",
+    "teeth on the lip (f, v)",
+    "back of the tongue (k, g)",
+];
+
+/// The word for a profile.
+pub(crate) fn profile_word(profile: Profile) -> &'static str {
+    match profile {
+        Profile::Live => "live",
+        Profile::Standard => "standard",
+        Profile::Studio => "studio",
+    }
+}
+
+fn seconds(timed: &Timed) -> f64 {
+    timed.sample as f64 / f64::from(SAMPLE_RATE_HZ)
+}
+
+/// One object a line.
+pub struct JsonLines<W>(W);
+
+impl<W: Write + Send> JsonLines<W> {
+    /// Lines go to `to`.
+    pub fn new(to: W) -> Self {
+        Self(to)
+    }
+}
+
+impl<W: Write + Send> Output for JsonLines<W> {
+    fn event(&mut self, event: &Event) -> io::Result<()> {
+        let Some(value) = json(event) else { return Ok(()) };
+        writeln!(self.0, "{value}")?;
+        // Whoever reads a pipe wants a frame when it is there.
+        self.0.flush()
+    }
+}
+
+/// A header when a run begins that has other columns, and a row a frame: time, sample, parameters, viseme weights.
+pub struct Csv<W> {
+    to: W,
+    columns: Option<(usize, usize)>,
+}
+
+impl<W: Write + Send> Csv<W> {
+    /// Rows go to `to`.
+    pub fn new(to: W) -> Self {
+        Self { to, columns: None }
+    }
+}
+
+impl<W: Write + Send> Output for Csv<W> {
+    fn event(&mut self, event: &Event) -> io::Result<()> {
+        match event {
+            Event::Hello(said) => {
+                let columns = (said.hello.scales.len(), usize::from(said.hello.visemes));
+                if self.columns != Some(columns) {
+                    self.columns = Some(columns);
+                    write!(self.to, "time_s,sample")?;
+                    for d in 1..=columns.0 {
+                        write!(self.to, ",p{d}")?;
+                    }
+                    for viseme in VISEMES.iter().take(columns.1) {
+                        write!(self.to, ",{viseme}")?;
+                    }
+                    writeln!(self.to)?;
+                }
+            }
+            Event::Frame(timed) => {
+                write!(self.to, "{:.4},{}", seconds(timed), timed.sample)?;
+                for value in timed.parameters() {
+                    write!(self.to, ",{value}")?;
+                }
+                for weight in timed.visemes() {
+                    write!(self.to, ",{weight:.3}")?;
+                }
+                writeln!(self.to)?;
+            }
+            _ => return Ok(()),
+        }
+        self.to.flush()
+    }
+}
