@@ -80,18 +80,37 @@ impl Link {
     /// Takes bytes as they came, cut anywhere, and hands over every message that they complete. Frames are handed
     /// over only after a `Hello`, and only when they have as many parameters and viseme weights as it says. Messages that are unknown
     /// are skipped and counted.
+    ///
+    /// # Errors
+    ///
+    /// The first [`LinkError`] in these bytes; all of them are taken. Frames behind it wait for the next `Hello` that is of use.
     pub fn push(&mut self, bytes: &[u8], mut on_message: impl FnMut(ToHost)) -> Result<(), LinkError> {
+        let mut first = Ok(());
         for &byte in bytes {
-            match self.receiver.push(byte) {
-                None => {}
-                Some(Ok(message)) if self.accept(&message)? => on_message(message),
-                Some(Ok(_)) => {}
-                Some(Err(WireError::Protocol { theirs })) => return Err(LinkError::Protocol { theirs }),
-                Some(Err(WireError::Unknown { .. })) => self.losses.unknown += 1,
-                Some(Err(_)) => self.losses.damaged += 1,
+            let accepted = match self.receiver.push(byte) {
+                None => continue,
+                Some(Ok(message)) => self.accept(&message).map(|use_it| use_it.then_some(message)),
+                Some(Err(WireError::Protocol { theirs })) => Err(LinkError::Protocol { theirs }),
+                Some(Err(WireError::Unknown { .. })) => {
+                    self.losses.unknown += 1;
+                    continue;
+                }
+                Some(Err(_)) => {
+                    self.losses.damaged += 1;
+                    continue;
+                }
+            };
+            match accepted {
+                Ok(Some(message)) => on_message(message),
+                Ok(None) => {}
+                Err(error) => {
+                    // Whoever this is, its frames are not to be read with what another has said.
+                    self.hello = None;
+                    first = first.and(Err(error));
+                }
             }
         }
-        Ok(())
+        first
     }
 
     /// Whether the message may be used.

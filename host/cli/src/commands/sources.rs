@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, Result, bail};
-use lipstream::engine::{Engine, FloatModel, Kind};
+use lipstream::engine::{Engine, FloatModel};
 use lipstream::mouth::MouthSpace;
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
