@@ -110,7 +110,7 @@ impl Commands {
 /// What happens to a driver. Lines and feeds are counted, so that what an old one still says is not taken for the new one's.
 enum Input {
     Bytes(u64, Vec<u8>),
-    Message(u64, ToHost),
+    Message(u64, Box<ToHost>),
     Closed(u64, Option<String>),
     Hop(u64, Hop, f64),
     SpeechEnded(u64, Option<SoundError>),
@@ -228,7 +228,7 @@ impl Running {
     fn take(&mut self, input: Input) -> bool {
         match input {
             Input::Bytes(line, bytes) if line == self.line => self.bytes(&bytes),
-            Input::Message(line, message) if line == self.line => self.message(message),
+            Input::Message(line, message) if line == self.line => self.message(*message),
             Input::Closed(line, why) if line == self.line => return self.closed(why),
             Input::Hop(feed, hop, heard_ms) if feed == self.feeds => self.hop(hop, heard_ms),
             Input::SpeechEnded(feed, error) if feed == self.feeds => return self.speech_ended(error),
@@ -252,7 +252,7 @@ impl Running {
         let (line, inputs) = (self.line, self.inputs.clone());
         let device = match &self.setup.source {
             Source::Inside(engine) => {
-                let say = move |message| inputs.send(Input::Message(line, message)).is_ok();
+                let say = move |message| inputs.send(Input::Message(line, Box::new(message))).is_ok();
                 let profile = self.profile.unwrap_or(Profile::Standard);
                 Device::Inside(inside::start(Arc::clone(engine), profile, say))
             }
@@ -677,7 +677,7 @@ fn replay(mut recording: Recording, line: u64, inputs: &Sender<Input>, wanted: &
                 }
             }
         }
-        if !wanted.load(Ordering::Relaxed) || inputs.send(Input::Message(line, message)).is_err() {
+        if !wanted.load(Ordering::Relaxed) || inputs.send(Input::Message(line, Box::new(message))).is_err() {
             return;
         }
     }

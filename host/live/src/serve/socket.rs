@@ -170,6 +170,7 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
             let mut value = outputs::json(event)?;
             if let Value::Object(fields) = &mut value {
                 fields.insert("clients".to_owned(), desk.hub().watchers().into());
+                fields.insert("recording".to_owned(), desk.recording().into());
             }
             Some(text(&value))
         }

@@ -13,53 +13,43 @@ const JUMP_MS = 200;
 const BURST_MS = 20;
 /** So long after a beginning the clock believes every earlier arrival at once. */
 const SETTLE_MS = 1000;
+/** Crystals differ by 0.01 %; this is faster than any drift and slower than an eye notices. */
+const MOST_SLEW = 0.02;
 
-/** The least of the values of the last seconds, kept in a few buckets. */
+/** The least of the values of the last three seconds, kept in buckets of a quarter of one. */
 export class RecentLeast {
-  /** @param {number} count buckets @param {number} span milliseconds each */
-  constructor(count = 12, span = 250) {
-    this.buckets = new Float64Array(count).fill(Infinity);
-    this.span = span;
-    this.current = -Infinity;
-    this.value = Infinity;
-  }
-
-  clear() {
-    this.buckets.fill(Infinity);
-    this.value = Infinity;
-  }
+  buckets = new Float64Array(12).fill(Infinity);
+  current = -Infinity;
+  value = Infinity;
 
   /** @param {number} value @param {number} now */
   add(value, now) {
-    const count = this.buckets.length, bucket = Math.floor(now / this.span);
+    const count = this.buckets.length, bucket = Math.floor(now / 250);
     if (bucket > this.current) {
       for (let b = Math.max(this.current + 1, bucket - count + 1); b <= bucket; b++) this.buckets[b % count] = Infinity;
       this.current = bucket;
-      this.value = Math.min(...this.buckets);
     }
     const at = this.current % count;
     this.buckets[at] = Math.min(this.buckets[at], value);
-    this.value = Math.min(this.value, value);
-    return this.value;
+    return this.value = Math.min(...this.buckets);
   }
 }
 
-/** The clock of the samples: which sample is due at which moment. */
+/** The clock of the samples: which of them is due at which moment. */
 export class FrameClock {
+  /** Page time of sample 0 by the frames that came soonest: jitter only ever delays. */
+  offset = NaN;
+  /** What the sound needs on top, so that it can be heard together with the mouth. */
+  extra = 0;
+  late = 0;
+  resyncs = -1;
+  /** Frames one after another that came much too late. */
+  run = { count: 0, start: 0, least: Infinity };
+
   /** @param {number} rate samples a second @param {number} buffer milliseconds by which everything waits for jitter */
   constructor(rate, buffer) {
     this.rate = rate;
     this.buffer = buffer;
-    /** What the sound needs on top, so that it can be heard together with the mouth. */
-    this.extra = 0;
-    /** Page time of sample 0 by the frames that came soonest: jitter only ever delays. */
-    this.offset = NaN;
-    this.late = 0;
-    this.resyncs = 0;
-    this.recent = new RecentLeast();
-    this.since = 0;
-    this.moved = 0;
-    this.run = { count: 0, start: 0, least: Infinity };
   }
 
   get ready() {
@@ -78,49 +68,43 @@ export class FrameClock {
 
   /** @param {number} offset @param {number} now */
   restart(offset, now) {
-    if (this.ready) this.resyncs++;
+    this.resyncs++;
     this.offset = offset;
     this.since = this.moved = now;
     this.run.count = 0;
-    this.recent.clear();
+    this.recent = new RecentLeast();
     this.recent.add(offset, now);
   }
 
   /** Learns that the frame of `sample` came at `now`. @param {number} sample @param {number} now */
   arrived(sample, now) {
-    const offset = now - sample * 1000 / this.rate, ahead = this.offset - offset, run = this.run;
-    if (!this.ready || ahead > JUMP_MS) return this.restart(offset, now);
-    const late = now > this.due(sample);
-    if (-ahead > JUMP_MS) {
+    const offset = now - sample * 1000 / this.rate, behind = offset - this.offset, run = this.run;
+    if (!this.ready || behind < -JUMP_MS) return this.restart(offset, now);
+    if (behind > JUMP_MS) {
       // Either a burst after a stall of the line, which ends in time, or a device that rested: then the clock begins anew.
-      if (run.count++ === 0) {
-        run.start = now;
-        run.least = Infinity;
-      }
+      if (run.count++ === 0) Object.assign(run, { start: now, least: Infinity });
       run.least = Math.min(run.least, offset);
       if (now - run.start >= BURST_MS) this.restart(run.least, now);
       return;
     }
-    this.late += run.count + Number(late);
+    this.late += run.count + Number(now > this.due(sample));
     run.count = 0;
-    const least = this.recent.add(offset, now), step = now - this.moved;
+    const least = this.recent.add(offset, now), away = least - this.offset, step = now - this.moved;
     this.moved = now;
-    if (least < this.offset && now - this.since < SETTLE_MS) this.offset = least;
-    // Crystals differ by 0.01 %; 2 % is faster than any drift and slower than an eye notices.
-    else this.offset += Math.max(-0.02, Math.min(0.02, (least - this.offset) / 1000)) * step;
+    if (away < 0 && now - this.since < SETTLE_MS) this.offset = least;
+    else this.offset += Math.max(-MOST_SLEW, Math.min(MOST_SLEW, away / 1000)) * step;
   }
 }
 
-/** The last frames in arrays that never grow. Frames are numbered from 0; the number is their place for ever. */
+/** The last frames in arrays that never grow. A frame's number, counted from 0, stays the same for ever. */
 export class FrameRing {
-  /** @param {number} size parameters @param {number} visemes @param {number} rate samples a second @param {number} hz frames */
+  count = 0;
+
+  /** @param {number} size parameters @param {number} visemes @param {number} rate samples a second @param {number} hz frames a second */
   constructor(size, visemes, rate, hz, capacity = 1024) {
-    this.size = size;
-    this.visemes = visemes;
-    this.capacity = capacity;
+    Object.assign(this, { size, visemes, capacity });
     /** Samples over which two neighbours are blended; in a longer gap the mouth waits before it moves. */
     this.blend = rate * Math.max(0.1, 2.5 / hz);
-    this.count = 0;
     this.samples = new Float64Array(capacity);
     this.arrived = new Float64Array(capacity);
     this.heard = new Float64Array(capacity);
@@ -128,23 +112,23 @@ export class FrameRing {
     this.weights = new Uint8Array(capacity * visemes);
   }
 
-  /** @param {number} frame */
-  sample(frame) {
-    return this.samples[frame % this.capacity];
-  }
-
-  /** @param {number} sample @param {number} arrived host @param {number} heard host @param {ArrayLike<number>} parameters
-   *  @param {ArrayLike<number>} weights */
+  /** Times are the host's. @param {number} sample @param {number} arrived @param {number} heard
+   *  @param {ArrayLike<number>} parameters @param {ArrayLike<number>} weights */
   push(sample, arrived, heard, parameters, weights) {
     const at = this.count++ % this.capacity;
     this.samples[at] = sample;
     this.arrived[at] = arrived;
     this.heard[at] = heard;
-    for (let k = 0; k < this.size; k++) this.parameters[at * this.size + k] = parameters[k];
-    for (let v = 0; v < this.visemes; v++) this.weights[at * this.visemes + v] = weights[v];
+    this.parameters.set(parameters, at * this.size);
+    this.weights.set(weights, at * this.visemes);
   }
 
-  /** The last frame not after `position`, or -1. `near` is where to look first. @param {number} position @param {number} near */
+  /** @param {number} frame */
+  sample(frame) {
+    return this.samples[frame % this.capacity];
+  }
+
+  /** The last frame not after `position`, or -1. @param {number} position @param {number} near where to look first */
   find(position, near) {
     const oldest = Math.max(0, this.count - this.capacity);
     let frame = Math.max(oldest, Math.min(near, this.count - 1));
@@ -166,7 +150,7 @@ export class FrameRing {
     return part > 0 ? a + part * (this.parameters[(frame + 1) % this.capacity * this.size + k] - a) : a;
   }
 
-  /** Weight of viseme `v`. @param {number} frame @param {number} v */
+  /** Weight of viseme `v`, 0 to 255. @param {number} frame @param {number} v */
   weight(frame, v) {
     return this.weights[frame % this.capacity * this.visemes + v];
   }
@@ -174,13 +158,11 @@ export class FrameRing {
 
 /** The host's clock, from pings: the quickest answer of the last sixteen is off by half its way at most. */
 export class HostClock {
-  constructor() {
-    this.ways = new Float64Array(16).fill(Infinity);
-    this.offsets = new Float64Array(16);
-    this.count = 0;
-    this.offset = NaN;
-    this.way = Infinity;
-  }
+  ways = new Float64Array(16).fill(Infinity);
+  offsets = new Float64Array(16);
+  count = 0;
+  offset = NaN;
+  way = Infinity;
 
   /** @param {number} sent @param {number} host what the answer says @param {number} now */
   pong(sent, host, now) {
@@ -192,19 +174,16 @@ export class HostClock {
   }
 }
 
-/** Delays of the last seconds: median and worst. */
+/** Delays of the last five seconds. */
 export class RecentDelays {
-  constructor(span = 5000, capacity = 1024) {
-    this.span = span;
-    this.times = new Float64Array(capacity).fill(-Infinity);
-    this.values = new Float64Array(capacity);
-    this.sorted = new Float64Array(capacity);
-    this.count = 0;
-  }
+  times = new Float64Array(1024).fill(-Infinity);
+  values = new Float64Array(1024);
+  sorted = new Float64Array(1024);
+  added = 0;
 
   /** @param {number} value @param {number} now */
   add(value, now) {
-    const at = this.count++ % this.times.length;
+    const at = this.added++ % this.times.length;
     this.times[at] = now;
     this.values[at] = value;
   }
@@ -212,9 +191,7 @@ export class RecentDelays {
   /** @param {number} now @returns {Delays} */
   stats(now) {
     let count = 0;
-    this.times.forEach((time, at) => {
-      if (now - time <= this.span) this.sorted[count++] = this.values[at];
-    });
+    this.times.forEach((time, at) => { if (now - time <= 5000) this.sorted[count++] = this.values[at]; });
     const sorted = this.sorted.subarray(0, count).sort();
     return { median: count ? sorted[count >> 1] : NaN, worst: count ? sorted[count - 1] : NaN, count };
   }

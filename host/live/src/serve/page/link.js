@@ -3,7 +3,7 @@
  *
  * @typedef {{count: number, visemes: number, sequence: number, sample: number, arrived: number, heard: number}} Head
  * @typedef {object} Listener
- * @property {(message: object, now: number) => void} text  a JSON message
+ * @property {(message: object) => void} text  a JSON message
  * @property {(head: Head, parameters: Float32Array, weights: Uint8Array, now: number) => void} frame
  * @property {(head: Head, samples: Int16Array, now: number) => void} sound
  */
@@ -14,49 +14,46 @@ const PING_MS = 1000;
 /** A server answers pings: one that says nothing for so long is gone, whatever the socket believes. */
 const SILENCE_MS = 5000;
 
-/** A path of the server with the token that this page was opened with. @param {string} path @param {object} query */
-export function address(path, query = {}) {
+/** A path of the server with the token that this page was opened with. @param {string} path */
+export function address(path) {
   const url = new URL(path, location.href), token = new URLSearchParams(location.search).get("token");
-  for (const [name, value] of Object.entries(query)) url.searchParams.set(name, value);
   if (token !== null) url.searchParams.set("token", token);
   return url;
 }
 
 export class Link {
+  host = new HostClock();
+  connected = false;
+  /** When the next try begins, while there is no connection. */
+  retryAt = 0;
+  tries = 0;
+  /** One object for all messages, since more than a hundred come every second. @type {Head} */
+  head = { count: 0, visemes: 0, sequence: 0, sample: 0, arrived: 0, heard: 0 };
+
   /** @param {Listener} listener */
   constructor(listener) {
     this.listener = listener;
-    this.host = new HostClock();
-    this.connected = false;
-    /** When the next try begins, while there is no connection. */
-    this.retryAt = 0;
-    this.tries = 0;
-    this.heardAt = 0;
-    /** One object for all frames, since a hundred come every second. */
-    this.head = { count: 0, visemes: 0, sequence: 0, sample: 0, arrived: 0, heard: 0 };
     setInterval(() => this.check(), PING_MS);
     this.open();
   }
 
   open() {
-    const url = address("/live", { as: "binary" });
+    const url = address("/live?as=binary");
     url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
     const socket = this.socket = new WebSocket(url);
-    socket.binaryType = "arraybuffer";
     this.heardAt = performance.now();
+    socket.binaryType = "arraybuffer";
     socket.onopen = () => {
       this.connected = true;
-      this.heardAt = performance.now();
       this.host = new HostClock();
       // The first answers may be slow ones: a few in a row find a quick one.
       for (let k = 0; k < 5; k++) setTimeout(() => this.ping(), k * 100);
     };
-    socket.onmessage = event => {
-      const now = performance.now();
-      this.heardAt = now;
+    socket.onmessage = ({ data }) => {
+      this.heardAt = performance.now();
       this.tries = 0;
-      if (typeof event.data === "string") this.text(event.data, now);
-      else this.binary(event.data, now);
+      if (typeof data === "string") this.text(JSON.parse(data), this.heardAt);
+      else if (data.byteLength >= HEAD_BYTES) this.binary(data, this.heardAt);
     };
     socket.onclose = () => this.lost();
   }
@@ -73,7 +70,7 @@ export class Link {
 
   check() {
     const silent = performance.now() - this.heardAt > SILENCE_MS;
-    if (silent && this.socket.readyState <= WebSocket.OPEN && this.socket.onclose) this.lost();
+    if (silent && this.socket.onclose) this.lost();
     else this.ping();
   }
 
@@ -86,30 +83,25 @@ export class Link {
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
   }
 
-  /** @param {string} text @param {number} now */
-  text(text, now) {
-    const message = JSON.parse(text);
+  /** @param {object} message @param {number} now */
+  text(message, now) {
     if (message.type === "pong") this.host.pong(message.t, message.now_ms, now);
-    else this.listener.text(message, now);
+    else this.listener.text(message);
   }
 
   /** @param {ArrayBuffer} bytes @param {number} now */
   binary(bytes, now) {
-    if (bytes.byteLength < HEAD_BYTES) return;
-    const view = new DataView(bytes), kind = view.getUint8(0), head = this.head;
-    head.visemes = view.getUint8(1);
-    head.count = view.getUint16(2, true);
+    const view = new DataView(bytes), kind = view.getUint8(0), { head, listener } = this, size = bytes.byteLength - HEAD_BYTES;
+    const count = head.count = view.getUint16(2, true), visemes = head.visemes = view.getUint8(1);
     head.sequence = view.getUint32(4, true);
     head.sample = view.getFloat64(8, true);
     head.arrived = view.getFloat64(16, true);
     head.heard = view.getFloat64(24, true);
     // Every machine with a browser stores numbers low byte first, as the messages do.
-    if (kind === 1 && bytes.byteLength >= HEAD_BYTES + 4 * head.count + head.visemes) {
-      const parameters = new Float32Array(bytes, HEAD_BYTES, head.count);
-      const weights = new Uint8Array(bytes, HEAD_BYTES + 4 * head.count, head.visemes);
-      this.listener.frame(head, parameters, weights, now);
-    } else if (kind === 2 && bytes.byteLength >= HEAD_BYTES + 2 * head.count) {
-      this.listener.sound(head, new Int16Array(bytes, HEAD_BYTES, head.count), now);
+    if (kind === 1 && size >= 4 * count + visemes) {
+      listener.frame(head, new Float32Array(bytes, HEAD_BYTES, count), new Uint8Array(bytes, HEAD_BYTES + 4 * count, visemes), now);
+    } else if (kind === 2 && size >= 2 * count) {
+      listener.sound(head, new Int16Array(bytes, HEAD_BYTES, count), now);
     }
   }
 }

@@ -30,73 +30,74 @@ export function parseMouth(bytes) {
 const VERTICES = `#version 300 es
 void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 - 1.0, 0.0, 1.0); }`;
 
-// The first layer is the mean, the others are eigenmouths. The target has bytes, which clip to 0..255 as the video does.
-const EXPAND = size => `#version 300 es
+// The first layer is the mean, the others are eigenmouths, four at a time. The target has bytes, which clip to 0..255 as the
+// video does.
+const EXPAND = quads => `#version 300 es
 precision highp float;
 precision highp sampler2DArray;
 uniform sampler2DArray layers;
-uniform vec4 weights[${Math.ceil(size / 4)}];
+uniform vec4 weights[${quads}];
 out vec4 colour;
+ivec2 at;
+vec3 layer(int k) { return texelFetch(layers, ivec3(at, k), 0).rgb; }
 void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
-  vec3 sum = texelFetch(layers, ivec3(at, 0), 0).rgb;
-  for (int k = 0; k < ${size}; k++) sum += weights[k >> 2][k & 3] * texelFetch(layers, ivec3(at, k + 1), 0).rgb;
+  at = ivec2(gl_FragCoord.xy);
+  vec3 sum = layer(0);
+  for (int q = 0, k = 1; q < ${quads}; q++, k += 4) {
+    vec4 w = weights[q];
+    sum += w.x * layer(k) + w.y * layer(k + 1) + w.z * layer(k + 2) + w.w * layer(k + 3);
+  }
   colour = vec4(sum / 255.0, 1.0);
 }`;
 
-// Catmull-Rom along one axis; two passes need 8 pixels where one of both axes needs 16. Pictures have their first row on
-// top, WebGL's screen has it below.
+// Catmull-Rom along one axis: two passes need 8 pixels where one of both axes needs 16. Pictures have their first row on top,
+// WebGL's screen has it below. Nothing is indexed by a variable, which is slow without a graphics card.
 const ENLARGE = `#version 300 es
 precision highp float;
 uniform sampler2D picture;
 uniform vec2 size;
-uniform int axis;
+uniform ivec2 axis;
 out vec4 colour;
+ivec2 across;
+int cell, last;
+vec3 pixel(int k) { return texelFetch(picture, across + axis * clamp(cell + k, 0, last), 0).rgb; }
 void main() {
-  ivec2 limit = textureSize(picture, 0) - 1;
-  vec2 here = gl_FragCoord.xy;
-  if (axis == 1) here.y = size.y - here.y;
-  float place = here[axis] * float(limit[axis] + 1) / size[axis] - 0.5, t = fract(place);
-  vec4 weight = vec4(((2.0 - t) * t - 1.0) * t, (3.0 * t - 5.0) * t * t + 2.0, ((4.0 - 3.0 * t) * t + 1.0) * t, (t - 1.0) * t * t);
-  ivec2 at = ivec2(here);
-  vec3 sum = vec3(0.0);
-  for (int k = 0; k < 4; k++) {
-    at[axis] = clamp(int(floor(place)) + k - 1, 0, limit[axis]);
-    sum += 0.5 * weight[k] * texelFetch(picture, at, 0).rgb;
-  }
-  colour = vec4(sum, 1.0);
+  vec2 here = vec2(gl_FragCoord.x, axis.y == 1 ? size.y - gl_FragCoord.y : gl_FragCoord.y);
+  ivec2 from = textureSize(picture, 0);
+  across = ivec2(here) * axis.yx;
+  float place = dot(here * vec2(from) / size, vec2(axis)) - 0.5, t = fract(place);
+  cell = int(floor(place));
+  last = (axis.x == 1 ? from.x : from.y) - 1;
+  colour = vec4(0.5 * (((2.0 - t) * t - 1.0) * t * pixel(-1) + ((3.0 * t - 5.0) * t * t + 2.0) * pixel(0)
+    + ((4.0 - 3.0 * t) * t + 1.0) * t * pixel(1) + (t - 1.0) * t * t * pixel(2)), 1.0);
 }`;
 
 class GlPainter {
+  /** What has to be given back. @type {(() => void)[]} */
+  made = [];
+
   /** @param {HTMLCanvasElement} canvas @param {MouthSpace} space */
   constructor(canvas, space) {
-    const options = { alpha: false, antialias: false, depth: false, powerPreference: "low-power" };
+    // On the processor WebGL is several times slower than adding up the picture in JavaScript: the browser is to say no.
+    const options = { alpha: false, antialias: false, depth: false, powerPreference: "low-power", failIfMajorPerformanceCaveat: true };
     const gl = this.gl = canvas.getContext("webgl2", options);
-    if (!gl || gl.isContextLost()) throw new Error("no WebGL 2");
-    const { width, height, size } = space;
-    this.canvas = canvas;
-    this.space = space;
-    this.unit = space.deviation.map(d => d > 0 ? d : 1);
-    this.weights = new Float32Array(4 * Math.ceil(size / 4));
-    this.expand = this.program(EXPAND(size));
+    if (!gl || gl.isContextLost()) throw new Error("there is no WebGL 2");
+    const { width, height, size, mean, basis, deviation } = space, quads = Math.ceil(size / 4);
+    Object.assign(this, { canvas, size, wide: null, weights: new Float32Array(4 * quads), unit: deviation.map(d => d > 0 ? d : 1) });
+    this.expand = this.program(EXPAND(quads));
     this.enlarge = this.program(ENLARGE);
-    this.at = {
-      weights: gl.getUniformLocation(this.expand, "weights"),
-      size: gl.getUniformLocation(this.enlarge, "size"),
-      axis: gl.getUniformLocation(this.enlarge, "axis"),
-    };
+    this.atWeights = gl.getUniformLocation(this.expand, "weights");
+    this.atSize = gl.getUniformLocation(this.enlarge, "size");
+    this.atAxis = gl.getUniformLocation(this.enlarge, "axis");
     // Halves have 11 bits: times its deviation every eigenmouth uses them alike.
-    const layers = new Float32Array(4 * width * height * (size + 1));
+    const layers = new Float32Array(4 * width * height * (4 * quads + 1));
     for (let layer = 0, to = 0; layer <= size; layer++) {
-      const from = layer ? space.basis.subarray((layer - 1) * space.mean.length) : space.mean;
-      for (let p = 0; p < space.mean.length; p += 3, to += 4) {
-        for (let c = 0; c < 3; c++) layers[to + c] = from[p + c] * (layer ? this.unit[layer - 1] : 1);
-      }
+      const from = layer ? basis.subarray((layer - 1) * mean.length) : mean, times = layer ? this.unit[layer - 1] : 1;
+      for (let p = 0; p < mean.length; p += 3, to += 4) for (let c = 0; c < 3; c++) layers[to + c] = from[p + c] * times;
     }
     this.layers = this.texture(gl.TEXTURE_2D_ARRAY);
-    gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, gl.RGBA16F, width, height, size + 1, 0, gl.RGBA, gl.FLOAT, layers);
+    gl.texImage3D(gl.TEXTURE_2D_ARRAY, 0, gl.RGBA16F, width, height, 4 * quads + 1, 0, gl.RGBA, gl.FLOAT, layers);
     this.native = this.target(width, height);
-    this.wide = null;
     if (gl.getError() !== gl.NO_ERROR) throw new Error("WebGL 2 cannot hold the mouth");
   }
 
@@ -112,6 +113,7 @@ class GlPainter {
     }
     gl.linkProgram(program);
     if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error(`WebGL 2: ${gl.getProgramInfoLog(program)}`);
+    this.made.push(() => gl.deleteProgram(program));
     return program;
   }
 
@@ -121,61 +123,57 @@ class GlPainter {
     gl.bindTexture(kind, texture);
     gl.texParameteri(kind, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
     gl.texParameteri(kind, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    this.made.push(() => gl.deleteTexture(texture));
     return texture;
   }
 
-  /** A picture to draw into. @param {number} width @param {number} height */
+  /** Something to draw a picture into. @param {number} width @param {number} height */
   target(width, height) {
     const { gl } = this, texture = this.texture(gl.TEXTURE_2D), buffer = gl.createFramebuffer();
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, null);
+    this.made.push(() => gl.deleteFramebuffer(buffer));
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
-    return { texture, buffer, width, height };
+    return this.resized({ texture, buffer, width, height }, width, height);
   }
 
-  /** @param {{texture: WebGLTexture, buffer: WebGLFramebuffer} | null} target */
-  drop(target) {
-    if (!target) return;
-    this.gl.deleteTexture(target.texture);
-    this.gl.deleteFramebuffer(target.buffer);
+  /** @param {ReturnType<GlPainter["target"]>} target @param {number} width @param {number} height */
+  resized(target, width, height) {
+    const { gl } = this;
+    gl.bindTexture(gl.TEXTURE_2D, target.texture);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, null);
+    return Object.assign(target, { width, height });
   }
 
   free() {
-    this.drop(this.native);
-    this.drop(this.wide);
-    this.gl.deleteTexture(this.layers);
-    this.gl.deleteProgram(this.expand);
-    this.gl.deleteProgram(this.enlarge);
+    for (const give of this.made) give();
   }
 
   /** @param {Float32Array} parameters @param {number} from the first of the mouth's */
   draw(parameters, from) {
-    const { gl, canvas, native, weights } = this;
-    if (this.wide?.width !== canvas.width) {
-      this.drop(this.wide);
-      this.wide = this.target(canvas.width, native.height);
-    }
-    for (let k = 0; k < this.space.size; k++) weights[k] = (parameters[from + k] || 0) / this.unit[k];
+    const { gl, canvas, native, weights, unit } = this, wide = this.wide ??= this.target(canvas.width, native.height);
+    if (wide.width !== canvas.width) this.resized(wide, canvas.width, native.height);
+    for (let k = 0; k < this.size; k++) weights[k] = (parameters[from + k] || 0) / unit[k];
     gl.useProgram(this.expand);
     gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.layers);
-    gl.uniform4fv(this.at.weights, weights);
+    gl.uniform4fv(this.atWeights, weights);
     this.pass(native.buffer, native.width, native.height);
     gl.useProgram(this.enlarge);
-    gl.uniform1i(this.at.axis, 0);
-    gl.uniform2f(this.at.size, this.wide.width, this.wide.height);
+    gl.uniform2i(this.atAxis, 1, 0);
+    gl.uniform2f(this.atSize, wide.width, wide.height);
     gl.bindTexture(gl.TEXTURE_2D, native.texture);
-    this.pass(this.wide.buffer, this.wide.width, this.wide.height);
-    gl.uniform1i(this.at.axis, 1);
-    gl.uniform2f(this.at.size, canvas.width, canvas.height);
-    gl.bindTexture(gl.TEXTURE_2D, this.wide.texture);
+    this.pass(wide.buffer, wide.width, wide.height);
+    gl.uniform2i(this.atAxis, 0, 1);
+    gl.uniform2f(this.atSize, canvas.width, canvas.height);
+    gl.bindTexture(gl.TEXTURE_2D, wide.texture);
     this.pass(null, canvas.width, canvas.height);
   }
 
   /** @param {WebGLFramebuffer | null} buffer @param {number} width @param {number} height */
   pass(buffer, width, height) {
-    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, buffer);
-    this.gl.viewport(0, 0, width, height);
-    this.gl.drawArrays(this.gl.TRIANGLES, 0, 3);
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    gl.viewport(0, 0, width, height);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   pixels() {
@@ -189,16 +187,13 @@ class GlPainter {
 class CanvasPainter {
   /** @param {HTMLCanvasElement} canvas @param {MouthSpace} space */
   constructor(canvas, space) {
-    this.canvas = canvas;
-    this.space = space;
-    this.context = canvas.getContext("2d", { alpha: false });
-    this.native = document.createElement("canvas");
-    this.native.width = space.width;
-    this.native.height = space.height;
-    this.nativeContext = this.native.getContext("2d", { willReadFrequently: true });
+    const native = document.createElement("canvas"), context = canvas.getContext("2d", { alpha: false });
+    Object.assign(this, { canvas, context, space, native, sum: new Float32Array(space.mean.length) });
+    native.width = space.width;
+    native.height = space.height;
+    this.nativeContext = native.getContext("2d");
     this.image = this.nativeContext.createImageData(space.width, space.height);
     this.image.data.fill(255);
-    this.sum = new Float32Array(space.mean.length);
   }
 
   free() {}
@@ -207,9 +202,11 @@ class CanvasPainter {
   draw(parameters, from) {
     const { sum, space, canvas, context } = this, { data } = this.image, { basis } = space, pixels = sum.length;
     sum.set(space.mean);
-    for (let k = 0; k < space.size; k++) {
-      const weight = parameters[from + k] || 0, row = k * pixels;
-      for (let p = 0; p < pixels; p++) sum[p] += weight * basis[row + p];
+    // Two eigenmouths at a time, since reading and writing the sum is half of the work.
+    for (let k = 0; k < space.size; k += 2) {
+      const a = parameters[from + k] || 0, rowA = k * pixels, two = k + 1 < space.size;
+      const b = two && parameters[from + k + 1] || 0, rowB = two ? rowA + pixels : rowA;
+      for (let p = 0; p < pixels; p++) sum[p] += a * basis[rowA + p] + b * basis[rowB + p];
     }
     // The image's array rounds and clips by itself.
     for (let p = 0, q = 0; p < pixels; p += 3, q += 4) {
@@ -229,17 +226,21 @@ class CanvasPainter {
 
 /** The box on the page with the mouth in it. */
 export class MouthView {
+  /** @type {MouthSpace | null} */
+  space = null;
+  /** @type {GlPainter | CanvasPainter | null} */
+  painter = null;
+  /** Whether the picture has to be drawn although its parameters have not changed. */
+  dirty = true;
+  width = 1;
+  height = 1;
+  /** A canvas is for WebGL or for 2D for ever: this one is kept for when a lost context comes back. */
+  gl = document.createElement("canvas");
+
   /** @param {HTMLElement} box @param {boolean} plain whether to do without WebGL */
   constructor(box, plain) {
     this.box = box;
     this.plain = plain;
-    /** @type {MouthSpace | null} */
-    this.space = null;
-    this.painter = null;
-    /** Whether the picture has to be drawn although its parameters have not changed. */
-    this.dirty = true;
-    this.width = this.height = 1;
-    this.gl = document.createElement("canvas");
     this.gl.addEventListener("webglcontextlost", event => {
       // Without this the browser would not give the context back.
       event.preventDefault();
@@ -284,15 +285,12 @@ export class MouthView {
       }
     }
     if (space && !this.painter) this.painter = new CanvasPainter(document.createElement("canvas"), space);
-    this.box.replaceChildren(...(this.painter ? [this.painter.canvas] : []));
+    this.box.replaceChildren(...this.painter ? [this.painter.canvas] : []);
     this.resize();
   }
 
   resize() {
-    if (this.painter) {
-      this.painter.canvas.width = this.width;
-      this.painter.canvas.height = this.height;
-    }
+    if (this.painter) Object.assign(this.painter.canvas, { width: this.width, height: this.height });
     this.dirty = true;
   }
 

@@ -1,7 +1,7 @@
 /**
  * The last seconds as running plots on one canvas: visemes, the first parameters, the level of the sound.
  *
- * Columns of pixels are painted once, when their time has come, into a strip that runs in a circle; a picture copies it.
+ * A column of pixels is painted once, when its time has come, into a strip that runs in a circle; a picture copies the strip.
  *
  * @typedef {import("./clock.js").FrameRing} FrameRing
  * @typedef {object} Tracks
@@ -18,23 +18,25 @@ const GAP = 10;
 /** Deviations from the middle of a row to its edge. */
 const REACH = 3;
 /** Rest is grey, vowels are warm, consonants cold, in the order of X&L table 1. */
-const COLOURS = [
-  "#8a857d", "#c8452f", "#ee7f2d", "#e8b62f", "#d9709f", "#9aa524", "#57a639", "#1f9e76", "#22a7b8", "#2f6fd0", "#6a5ad6", "#a25bc9",
-  "#7f5f45",
-];
+const COLOURS = ["#8a857d", "#c8452f", "#ee7f2d", "#e8b62f", "#d9709f", "#9aa524", "#57a639", "#1f9e76", "#22a7b8", "#2f6fd0", "#6a5ad6",
+  "#a25bc9", "#7f5f45"];
 
 /** @param {number} viseme */
 export const colourOf = viseme => COLOURS[viseme % COLOURS.length];
 
+/** The place in a circle of `count`. @param {number} column @param {number} count */
+const around = (column, count) => ((column % count) + count) % count;
+
 export class Plots {
+  /** @type {Tracks | null} */
+  tracks = null;
+  strip = document.createElement("canvas");
+  ink = this.strip.getContext("2d");
+
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
-    this.strip = document.createElement("canvas");
-    this.ink = this.strip.getContext("2d");
-    /** @type {Tracks | null} */
-    this.tracks = null;
     new ResizeObserver(() => this.fit()).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.fit());
   }
@@ -50,24 +52,20 @@ export class Plots {
     const { canvas, context, tracks } = this, scale = this.scale = devicePixelRatio || 1;
     if (!tracks) return;
     canvas.width = Math.max(1, Math.round(canvas.clientWidth * scale));
-    canvas.height = Math.max(1, Math.round(canvas.clientHeight * scale));
+    canvas.height = this.strip.height = Math.max(1, Math.round(canvas.clientHeight * scale));
     this.left = Math.round(LEFT * scale);
     this.width = this.strip.width = Math.max(1, canvas.width - this.left);
-    this.strip.height = canvas.height;
     /** The column painted last, counted from sample 0. */
     this.painted = NaN;
-    this.near = this.nearLevel = 0;
+    this.known = this.near = this.nearLevel = 0;
+    this.newest = Infinity;
 
     const style = getComputedStyle(canvas), colour = name => style.getPropertyValue(name).trim();
-    this.trace = colour("--bar");
-    this.wave = colour("--wave");
-    this.line = colour("--line");
-    // A row of visemes or of the sound is as tall as two of a parameter.
-    const parts = tracks.names.length + (tracks.frames.visemes ? 2 : 0) + (tracks.levels ? 1 : 0);
-    const unit = (canvas.height - GAP * scale * 2) / Math.max(1, parts);
-    context.font = `${12 * scale}px system-ui, sans-serif`;
-    context.textBaseline = "middle";
-    context.textAlign = "right";
+    [this.trace, this.wave, this.line] = ["--bar", "--wave", "--line"].map(colour);
+    // The visemes' row is as tall as two others.
+    const rows = tracks.names.length + (tracks.frames.visemes ? 2 : 0) + (tracks.levels ? 1 : 0);
+    const unit = (canvas.height - GAP * scale * 2) / Math.max(1, rows);
+    Object.assign(context, { font: `${12 * scale}px system-ui, sans-serif`, textBaseline: "middle", textAlign: "right" });
     context.fillStyle = colour("--faint");
     let y = 0;
     const row = (words, height) => {
@@ -76,9 +74,9 @@ export class Plots {
       return { from: y - height, height };
     };
     this.visemes = tracks.frames.visemes ? row("visemes", 2 * unit) : null;
-    if (this.visemes) y += GAP * scale;
+    y += GAP * scale;
     this.rows = tracks.names.map(name => row(name, unit));
-    if (tracks.levels) y += GAP * scale;
+    y += GAP * scale;
     this.level = tracks.levels ? row("sound", unit) : null;
   }
 
@@ -86,14 +84,20 @@ export class Plots {
   draw(position) {
     const { tracks, context, strip, left, width } = this;
     if (!tracks) return;
-    const step = SECONDS * tracks.rate / width, column = Math.floor(position / step);
+    const { frames } = tracks, step = SECONDS * tracks.rate / width, column = Math.floor(position / step);
+    // Columns painted before their frames came are painted again.
+    if (frames.count > this.known) {
+      this.painted = Math.min(this.painted, Math.floor(this.newest / step));
+      this.known = frames.count;
+      this.newest = frames.sample(frames.count - 1);
+    }
     // Time that went back or far ahead: the whole strip is another.
     if (!(column >= this.painted && column < this.painted + width)) {
       this.painted = column - width;
       this.near = this.nearLevel = 0;
     }
     while (this.painted < column) this.paint(++this.painted, step);
-    const seam = (((column + 1) % width) + width) % width;
+    const seam = around(column + 1, width);
     context.clearRect(left, 0, width, strip.height);
     context.drawImage(strip, seam, 0, width - seam, strip.height, left, 0, width - seam, strip.height);
     if (seam) context.drawImage(strip, 0, 0, seam, strip.height, left + width - seam, 0, seam, strip.height);
@@ -101,8 +105,7 @@ export class Plots {
 
   /** @param {number} column @param {number} step samples a column */
   paint(column, step) {
-    const { ink, tracks, scale } = this, { frames, levels } = tracks, at = column * step;
-    const x = ((column % this.width) + this.width) % this.width;
+    const { ink, scale } = this, { frames, levels, units } = this.tracks, x = around(column, this.width), at = column * step;
     ink.clearRect(x, 0, 1, this.strip.height);
     ink.fillStyle = this.line;
     for (const { from, height } of this.rows) ink.fillRect(x, from + height / 2, 1, scale);
@@ -113,10 +116,10 @@ export class Plots {
       const part = frames.part(near, at), before = Math.max(0, frames.find(at - step, near)), partBefore = frames.part(before, at - step);
       ink.fillStyle = this.trace;
       for (let k = 0; k < this.rows.length; k++) {
-        const { from, height } = this.rows[k], reach = REACH * (tracks.units[k] || 1);
-        const y = value => from + height / 2 * (1 - Math.max(-1, Math.min(1, value / reach)));
-        const a = y(frames.parameter(before, partBefore, k)), b = y(frames.parameter(near, part, k));
-        ink.fillRect(x, Math.min(a, b) - 0.7 * scale, 1, Math.abs(a - b) + 1.4 * scale);
+        const { from, height } = this.rows[k], scaled = 1 / (REACH * (units[k] || 1));
+        const a = Math.max(-1, Math.min(1, frames.parameter(before, partBefore, k) * scaled));
+        const b = Math.max(-1, Math.min(1, frames.parameter(near, part, k) * scaled));
+        ink.fillRect(x, from + height / 2 * (1 - Math.max(a, b)) - 0.7 * scale, 1, height / 2 * Math.abs(a - b) + 1.4 * scale);
       }
     }
     const nearLevel = levels ? levels.find(at, this.nearLevel) : -1;
@@ -135,7 +138,7 @@ export class Plots {
     for (let v = 0; v < frames.visemes; v++) sum += frames.weight(frame, v);
     for (let v = 0, y = 0; sum && v < frames.visemes; v++) {
       const height = frames.weight(frame, v) / sum * this.visemes.height;
-      this.ink.fillStyle = COLOURS[v % COLOURS.length];
+      this.ink.fillStyle = colourOf(v);
       if (height) this.ink.fillRect(x, this.visemes.from + y, 1, height);
       y += height;
     }

@@ -1,0 +1,199 @@
+//! A headless Chromium, spoken to by the DevTools protocol.
+use std::io::{BufRead as _, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use base64::Engine as _;
+use serde_json::{Value, json};
+use tungstenite::{Message, WebSocket};
+
+/// Longest that anything may take; for a machine that is busy with other things.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Names under which it is installed.
+const NAMES: [&str; 4] = [
+    "chromium-headless-shell",
+    "chromium",
+    "chromium-browser",
+    "google-chrome",
+];
+
+/// A browser with one page.
+pub(crate) struct Browser {
+    process: Child,
+    socket: WebSocket<TcpStream>,
+    session: String,
+    next: u64,
+    /// What the page has complained of.
+    pub(crate) complaints: Vec<String>,
+    _profile: tempfile::TempDir,
+}
+
+impl Browser {
+    /// Opens `url`.
+    pub(crate) fn open(url: &str) -> Self {
+        let profile = tempfile::tempdir().unwrap();
+        let name = NAMES.into_iter().find(|name| is_program(name));
+        let name = name.unwrap_or_else(|| {
+            panic!("none of {NAMES:?} is installed (tests/run installs one, or leaves these tests out)")
+        });
+        let mut process = Command::new(name)
+            .args([
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu-sandbox",
+                "--use-angle=swiftshader",
+            ])
+            .args([
+                "--enable-unsafe-swiftshader",
+                "--autoplay-policy=no-user-gesture-required",
+                "--mute-audio",
+            ])
+            .args(["--remote-debugging-port=0", "--window-size=1200,1000"])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank")
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("run the browser");
+        let lines = BufReader::new(process.stderr.take().unwrap()).lines();
+        let address = lines
+            .map_while(Result::ok)
+            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
+            .expect("the browser says where it listens");
+        let place = address.trim_start_matches("ws://").split('/').next().unwrap();
+        let line = TcpStream::connect(place).unwrap();
+        line.set_read_timeout(Some(PATIENCE)).unwrap();
+        let (socket, _) = tungstenite::client(address.as_str(), line).unwrap();
+        let mut browser = Self {
+            process,
+            socket,
+            session: String::new(),
+            next: 0,
+            complaints: Vec::new(),
+            _profile: profile,
+        };
+        let target = browser.ask("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        let attached = browser.ask("Target.attachToTarget", attach);
+        browser.session = attached["sessionId"].as_str().unwrap().to_owned();
+        for domain in ["Page", "Runtime", "Log", "HeapProfiler"] {
+            browser.ask(&format!("{domain}.enable"), json!({}));
+        }
+        browser.ask("Page.navigate", json!({ "url": url }));
+        browser.wait("typeof window.lipstream === 'object'");
+        browser
+    }
+
+    fn ask(&mut self, method: &str, parameters: Value) -> Value {
+        self.next += 1;
+        let id = self.next;
+        let mut question = json!({ "id": id, "method": method, "params": parameters });
+        if !self.session.is_empty() {
+            question["sessionId"] = json!(self.session);
+        }
+        self.socket.send(Message::text(question.to_string())).unwrap();
+        loop {
+            let Message::Text(text) = self.socket.read().expect("the browser answers") else {
+                continue;
+            };
+            let message: Value = serde_json::from_str(&text).unwrap();
+            if message["id"] == id {
+                assert!(message.get("error").is_none(), "{method}: {message}");
+                return message["result"].clone();
+            }
+            self.hear(&message);
+        }
+    }
+
+    /// Errors and warnings of the page.
+    fn hear(&mut self, message: &Value) {
+        let parameters = &message["params"];
+        let bad = match message["method"].as_str() {
+            Some("Runtime.exceptionThrown") => true,
+            Some("Runtime.consoleAPICalled") => {
+                matches!(parameters["type"].as_str(), Some("error" | "warning" | "assert"))
+            }
+            Some("Log.entryAdded") => parameters["entry"]["level"] == "error",
+            _ => false,
+        };
+        if bad {
+            self.complaints.push(parameters.to_string());
+        }
+    }
+
+    /// What an expression is, promises awaited.
+    pub(crate) fn evaluate(&mut self, expression: &str) -> Value {
+        let question = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
+        let answer = self.ask("Runtime.evaluate", question);
+        assert!(answer.get("exceptionDetails").is_none(), "{expression}: {answer}");
+        answer["result"]["value"].clone()
+    }
+
+    pub(crate) fn number(&mut self, expression: &str) -> f64 {
+        let value = self.evaluate(expression);
+        value
+            .as_f64()
+            .unwrap_or_else(|| panic!("{expression} is {value}"))
+    }
+
+    /// Waits until an expression is true.
+    pub(crate) fn wait(&mut self, expression: &str) {
+        let began = Instant::now();
+        while self.evaluate(&format!("Boolean({expression})")) != true {
+            assert!(
+                began.elapsed() < PATIENCE,
+                "{expression} does not come true: {:?}",
+                self.complaints
+            );
+            std::thread::sleep(Duration::from_millis(30));
+        }
+    }
+
+    /// The mouth that is on the screen: R, G, B, A of each pixel.
+    pub(crate) fn pixels(&mut self) -> Vec<u8> {
+        let text = self.evaluate("Array.from(window.lipstream.pixels()).join(' ')");
+        let text = text.as_str().unwrap();
+        text.split(' ').map(|n| n.parse::<f64>().unwrap() as u8).collect()
+    }
+
+    /// Keeps a picture of the page.
+    pub(crate) fn photograph(&mut self, path: &Path) {
+        let shot = self.ask("Page.captureScreenshot", json!({ "format": "png" }));
+        let bytes = base64::engine::general_purpose::STANDARD
+            .decode(shot["data"].as_str().unwrap())
+            .unwrap();
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, bytes).unwrap();
+        println!("{}", path.display());
+    }
+
+    /// Bytes of the page's heap, after what is of no use is gone.
+    pub(crate) fn heap(&mut self) -> f64 {
+        self.ask("HeapProfiler.collectGarbage", json!({}));
+        self.ask("Runtime.getHeapUsage", json!({}))["usedSize"]
+            .as_f64()
+            .unwrap()
+    }
+}
+
+impl Drop for Browser {
+    /// The browser ends its helpers itself; killed at once it would leave them behind.
+    fn drop(&mut self) {
+        let question = json!({ "id": self.next + 1, "method": "Browser.close" });
+        let _ = self.socket.send(Message::text(question.to_string()));
+        let began = Instant::now();
+        while matches!(self.process.try_wait(), Ok(None)) && began.elapsed() < Duration::from_secs(10) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+fn is_program(name: &str) -> bool {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&path).any(|folder| folder.join(name).is_file())
+}
