@@ -72,7 +72,7 @@ fn sized<'m, K: Kind<'m>, C: Convert<'m, K>>(
     model: &'m Tables<'m, K>,
     mut sound: &[i16],
     settings: StreamSettings,
-) -> Result<Converted> {
+) -> lipstream::Result<Converted> {
     let mut stream = Stream::<K, C>::sized(model, settings);
     let mut frames = Vec::new();
     while !sound.is_empty() {
@@ -94,7 +94,7 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
         ("floats, the model's lag", Lag::Frames(lag)),
     ] {
         let said = clips.par_iter().map(|clip| convert(model, &clip.audio, lag));
-        let said: Vec<_> = said.collect::<Result<_>>()?;
+        let said: Vec<_> = said.collect::<Result<_, _>>()?;
         show(name, judged(clips, said.iter().map(|(parameters, _)| parameters)));
     }
     let bytes = export(model, &ExportSettings::of(model))?.bytes;
@@ -112,7 +112,7 @@ fn of_likelihood(model: &Model, clips: &[Truth], sounds: &[Vec<i16>]) -> Result<
             ),
             _ => stream(&tables, sound, settings),
         });
-        let said: Vec<_> = said.collect::<Result<_>>()?;
+        let said: Vec<_> = said.collect::<Result<_, _>>()?;
         Ok(judged(clips, said.iter().map(|said| &said.parameters)))
     };
     show("integers, no beam", device(ALL, Some(none))?);

@@ -7,8 +7,9 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 10] = [
-    "align", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "render", "train",
+const COMMANDS: [&str; 12] = [
+    "align", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "record", "render",
+    "train", "view",
 ];
 
 fn path(path: &Path) -> String {
@@ -424,4 +425,55 @@ fn pictures_go_to_a_pipe_or_a_folder() {
     assert_eq!(raw.len(), names.len() * 64 * 48 * 3);
     let error = refuse(&folder, &[&render[..], &["frames/"]].concat());
     assert!(error.contains("frames/ exists"), "{error}");
+}
+
+/// What is recorded live is what is converted from the file, and it is drawn and read back.
+#[test]
+fn a_recording_is_what_was_spoken() {
+    let folder = common::folder("cli-record");
+    let (hello, tables) = (hello(), path(&common::root().join("models/grid-s1.tables")));
+    let model = path(&common::root().join("models/grid-s1.safetensors"));
+    let said = succeed(
+        &folder,
+        &["record", "--wav", &hello, "-o", "a.stream", "--to", "csv:a.csv"],
+    );
+    assert!(said.contains("a.stream: 420 frames, 0 lost, 0 damaged"), "{said}");
+    succeed(&folder, &["convert", "a.stream", "-o", "live.npy"]);
+    let convert = [
+        "convert",
+        &hello,
+        "-m",
+        &tables,
+        "--profile",
+        "standard",
+        "-o",
+        "file.npy",
+    ];
+    succeed(&folder, &convert);
+    let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
+    assert!(read("live.npy") == read("file.npy"));
+    assert_eq!(String::from_utf8(read("a.csv")).unwrap().lines().count(), 421);
+    // The sound beside it is the sound, from the first frame's window on.
+    let heard = lipstream_media::sound::read(&folder.join("a.wav"))
+        .unwrap()
+        .samples;
+    assert_eq!(
+        heard,
+        lipstream_media::sound::read(hello.as_ref()).unwrap().samples
+    );
+    let render = ["render", "a.stream", "-m", &model, "--scale", "1", "-o", "a.mp4"];
+    assert!(succeed(&folder, &render).contains("106 pictures of 64×48"));
+    // Nothing is overwritten, and what is no stream is refused.
+    let error = refuse(&folder, &["record", "--wav", &hello, "-o", "a.stream"]);
+    assert!(error.starts_with("cannot write a.stream: "), "{error}");
+    std::fs::write(folder.join("b.stream"), b"words").unwrap();
+    let error = refuse(&folder, &["convert", "b.stream", "-o", "b.csv"]);
+    assert!(error.starts_with("b.stream is no recorded stream"), "{error}");
+    let error = refuse(&folder, &["record", "no/such/port", "-o", "c.stream"]);
+    assert!(error.starts_with("no/such/port: no such port or file"), "{error}");
+    let error = refuse(
+        &folder,
+        &["record", "a.stream", "-o", "c.stream", "--to", "osc://box"],
+    );
+    assert!(error.contains("a target is vmc://"), "{error}");
 }

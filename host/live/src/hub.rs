@@ -135,6 +135,12 @@ impl Hub {
         }
     }
 
+    /// Whether somebody speaks, and has not come to an end.
+    pub fn runs(&self) -> bool {
+        let past = self.past.lock().unwrap_or_else(PoisonError::into_inner);
+        matches!(&past.hello, Some(Event::Hello(said)) if said.running) && past.end.is_none()
+    }
+
     /// How many watch.
     pub fn watchers(&self) -> usize {
         self.sender.receiver_count()

@@ -23,6 +23,12 @@ pub enum Error {
     /// A file that this program writes is damaged, of another kind or of another version: make it again.
     #[error("{0}")]
     File(String),
+    /// A word has no letter and is in no dictionary: add it to one.
+    #[error("nothing tells how {word:?} is pronounced: add it to a dictionary of your own")]
+    Unspoken {
+        /// The word.
+        word: String,
+    },
     /// The numbers did not work out: a matrix is singular, training diverged.
     #[error("{0}")]
     Numbers(String),

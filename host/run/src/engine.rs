@@ -2,7 +2,6 @@
 use std::borrow::Cow;
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
 use lipstream_core::hmm::search::MAX_BEAM;
 use lipstream_core::kinds::likelihood::FRAMES;
 use lipstream_core::kinds::likelihood::tables::MAX_ACOUSTIC_SCALE;
@@ -15,13 +14,14 @@ use lipstream_core::{AnyModel as Tables, AnyStream, ParameterFrame, StreamSettin
 use lipstream_media::files;
 use ndarray::{Array2, Axis};
 
-use crate::export::{ExportSettings, MgeSettings, export, export_mge};
+use crate::error::{Context as _, Error, Result};
+use crate::export::{ExportError, ExportSettings, MgeSettings, export, export_mge};
 use crate::hmm::Hmm;
 use crate::hmm::system::Speech;
 use crate::kinds::likelihood::convert::{Follower, Lag, convert, smooth, viseme_weights};
 use crate::kinds::likelihood::inversion::Inverter;
-use crate::kinds::likelihood::live::{Live as LocalLinear, NotFinite};
-use crate::kinds::likelihood::{EmSettings, Model};
+use crate::kinds::likelihood::live::Live as LocalLinear;
+use crate::kinds::likelihood::{EmSettings, Model, NotFinite};
 use crate::kinds::recurrent::live::Live;
 use crate::kinds::recurrent::model::RecurrentModel;
 use crate::phones::VISEMES;
@@ -73,15 +73,26 @@ pub enum SettingError {
     /// A recurrent model in floats takes neither `beam_bits`, `lag` nor `feedback`.
     #[error("a model trained on the error of its mouth has neither beam, lag nor EM in floats")]
     FloatRecurrent,
-    /// The lag is longer than `most`, both in hops.
+    /// The lag is too long.
     #[error("a lag of {lag} hops is too long: the device has room for {most}")]
-    Lag { lag: u16, most: usize },
-    /// The beam's width, in bits, is out of range.
+    Lag {
+        /// The lag that was asked for, in hops.
+        lag: u16,
+        /// The longest lag, in hops.
+        most: usize,
+    },
+    /// The beam's width is out of range.
     #[error("a beam of {bits} bits is out of range")]
-    Beam { bits: f64 },
+    Beam {
+        /// The width that was asked for.
+        bits: f64,
+    },
     /// The exponent of the mouth's likelihood is out of range.
     #[error("an exponent of {exponent} is out of range: 0 to 4")]
-    Exponent { exponent: f64 },
+    Exponent {
+        /// The exponent that was asked for.
+        exponent: f64,
+    },
 }
 
 /// A float model of whichever kind.
@@ -94,12 +105,20 @@ pub enum FloatModel {
 
 impl FloatModel {
     /// Reads a model file, once; its note `kind` says what it holds.
+    ///
+    /// # Errors
+    ///
+    /// That it cannot be read, holds no model or a damaged one.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
         Self::of_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
     }
 
     /// The model in a file that has been read.
+    ///
+    /// # Errors
+    ///
+    /// That it holds no model or a damaged one.
     pub fn of_tensors(tensors: &Tensors) -> Result<Self> {
         Ok(match RecurrentModel::is_kind(tensors) {
             true => Self::Recurrent(Box::new(RecurrentModel::from_tensors(tensors)?)),
@@ -108,7 +127,11 @@ impl FloatModel {
     }
 
     /// Its tables for the device; of a likelihood-trained model with its visual densities if asked for.
-    pub fn export(&self, visual_densities: bool) -> Result<Vec<u8>> {
+    ///
+    /// # Errors
+    ///
+    /// As [`export`] and [`export_mge`].
+    pub fn export(&self, visual_densities: bool) -> Result<Vec<u8>, ExportError> {
         Ok(match self {
             Self::Recurrent(model) => export_mge(model, &MgeSettings::default())?.bytes,
             Self::Likelihood(model) => {
@@ -156,19 +179,26 @@ pub struct Converted {
 
 impl Engine {
     /// Reads tables or a float model. The fixed engine quantises a float model first; the float engine needs one.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoFloats`] for the float engine on tables, [`Error::Export`] for the fixed engine on a model that the device cannot
+    /// run; that the file cannot be read, or holds neither tables nor a model.
     pub fn open(path: &Path, kind: Kind) -> Result<Self> {
         Self::open_with(path, kind, false)
     }
 
     /// [`Engine::open`]; whether a float model is quantised with its visual densities, which [`RunSettings::feedback`] needs.
+    ///
+    /// # Errors
+    ///
+    /// As [`Engine::open`].
     pub fn open_with(path: &Path, kind: Kind, visual_densities: bool) -> Result<Self> {
         let bytes = files::read_bytes(path)?;
         if bytes.starts_with(&MAGIC) {
-            ensure!(
-                kind == Kind::Fixed,
-                "{} holds the device's tables; `--engine float` needs the model they were exported from",
-                path.display()
-            );
+            if kind == Kind::Float {
+                return Err(Error::NoFloats(path.to_owned()));
+            }
             return Self::fixed(bytes).with_context(|| format!("{} cannot be used", path.display()));
         }
         let model = FloatModel::read(path)?;
@@ -179,6 +209,10 @@ impl Engine {
     }
 
     /// The fixed engine on tables in memory.
+    ///
+    /// # Errors
+    ///
+    /// [`ModelError`]: they are no tables, or damaged.
     pub fn fixed(tables: impl Into<Cow<'static, [u8]>>) -> Result<Self, ModelError> {
         let checked = Checked::try_new(tables.into(), |bytes| Tables::new_checked(bytes))?;
         Ok(Self(Ready::Fixed(checked)))
@@ -229,6 +263,10 @@ impl Engine {
     }
 
     /// Converts a whole sound, 16 kHz mono.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Setting`] as [`Engine::session`], [`Error::NotFinite`] as [`Session::push`].
     pub fn convert(&self, samples: &[i16], with: &RunSettings) -> Result<Converted> {
         let mut session = self.session(with)?;
         let (mut parameters, mut visemes) = (Rows::default(), Rows::default());
@@ -306,12 +344,10 @@ fn follow<'m>(model: &'m Model, with: &RunSettings) -> Result<Running<'m>, Setti
             });
         }
         (None, _) => Box::new(move |heard| {
-            let (parameters, visemes) = convert(model, heard, Lag::Frames(lag)).map_err(|_| NotFinite)?;
+            let (parameters, visemes) = convert(model, heard, Lag::Frames(lag))?;
             Ok(Converted { parameters, visemes })
         }),
-        (Some(exponent), _) => {
-            Box::new(move |heard| live_em(model, heard, lag, exponent).map_err(|_| NotFinite))
-        }
+        (Some(exponent), _) => Box::new(move |heard| live_em(model, heard, lag, exponent)),
     };
     Ok(Running::Whole {
         observer,
@@ -321,7 +357,12 @@ fn follow<'m>(model: &'m Model, with: &RunSettings) -> Result<Running<'m>, Setti
 }
 
 /// The paper's EM inside a window of `lag` frames, in floats.
-fn live_em(model: &Model, observations: &Array2<f32>, lag: usize, exponent: f64) -> Result<Converted> {
+fn live_em(
+    model: &Model,
+    observations: &Array2<f32>,
+    lag: usize,
+    exponent: f64,
+) -> Result<Converted, NotFinite> {
     let hmm = Hmm::of_model(model);
     let settings = EmSettings {
         acoustic_scale: model.following.acoustic_scale,
@@ -337,6 +378,10 @@ fn live_em(model: &Model, observations: &Array2<f32>, lag: usize, exponent: f64)
 }
 
 /// Settings for the core, refused where it would hold them to its limits.
+///
+/// # Errors
+///
+/// [`SettingError`] names the setting that is out of its range.
 pub fn core_settings(with: &RunSettings) -> Result<StreamSettings, SettingError> {
     if let Some(lag) = with.lag {
         let most = FRAMES - 1;
@@ -371,6 +416,10 @@ pub fn core_settings(with: &RunSettings) -> Result<StreamSettings, SettingError>
 }
 
 /// A whole sound through the device's own stream.
+///
+/// # Errors
+///
+/// As [`converted`].
 pub fn stream(tables: &Tables, samples: &[i16], settings: StreamSettings) -> Result<Converted> {
     let mut stream = AnyStream::new(tables, settings);
     let mut rest = samples;
@@ -388,6 +437,10 @@ pub fn stream(tables: &Tables, samples: &[i16], settings: StreamSettings) -> Res
 }
 
 /// What the frames of a stream of these tables say, in real units.
+///
+/// # Errors
+///
+/// Frames of other tables, which have another number of parameters or visemes.
 pub fn converted(tables: &Tables, frames: impl IntoIterator<Item = ParameterFrame>) -> Result<Converted> {
     let scales: Vec<f32> = tables.head().parameter_scales().collect();
     let mut parameters = Array2::zeros((0, scales.len()));

@@ -8,11 +8,12 @@
 //! | 10..12 | kind: 6 (MFCC) + 0o100 (`_E`) + 0o400 (`_D`) + 0o1000 (`_A`) |
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
 use lipstream_core::{HOP_SAMPLES, N_OBSERVATION, SAMPLE_RATE_HZ};
 use ndarray::Array2;
 
 use lipstream_media::files;
+
+use crate::error::{Context as _, Result, bail};
 
 /// `MFCC_E_D_A`.
 pub const KIND_MFCC_E_D_A: u16 = 6 + 0o100 + 0o400 + 0o1000;
@@ -38,7 +39,7 @@ pub fn write(path: &Path, observations: &Array2<f32>) -> Result<()> {
 pub fn bytes(observations: &Array2<f32>) -> Result<Vec<u8>> {
     let (frames, columns) = observations.dim();
     if columns != N_OBSERVATION {
-        bail!("MFCC_E_D_A has {N_OBSERVATION} columns, not {columns}");
+        bail!(Data, "MFCC_E_D_A has {N_OBSERVATION} columns, not {columns}");
     }
     let mut bytes = Vec::with_capacity(HEADER + 4 * frames * columns);
     bytes.extend(u32::try_from(frames).context("too many frames")?.to_be_bytes());
@@ -52,6 +53,10 @@ pub fn bytes(observations: &Array2<f32>) -> Result<Vec<u8>> {
 }
 
 /// Reads an uncompressed `MFCC_E_D_A` file at 10 ms.
+///
+/// # Errors
+///
+/// That the file cannot be read or holds something else.
 pub fn read(path: &Path) -> Result<Array2<f32>> {
     let bytes = files::read_bytes(path)?;
     parse(&bytes).with_context(|| format!("cannot read {} as HTK parameters", path.display()))
@@ -59,17 +64,24 @@ pub fn read(path: &Path) -> Result<Array2<f32>> {
 
 fn parse(bytes: &[u8]) -> Result<Array2<f32>> {
     let Some((header, body)) = bytes.split_at_checked(HEADER) else {
-        bail!("{} bytes are too few for a header", bytes.len());
+        bail!(File, "{} bytes are too few for a header", bytes.len());
     };
     let word = |at: usize| u32::from_be_bytes([header[at], header[at + 1], header[at + 2], header[at + 3]]);
     let half = |at: usize| u16::from_be_bytes([header[at], header[at + 1]]);
     let frames = word(0) as usize;
     let (period, size, kind) = (word(4), half(8), half(10));
     if (period, usize::from(size), kind) != (PERIOD, 4 * N_OBSERVATION, KIND_MFCC_E_D_A) {
-        bail!("period {period}, frame size {size}, kind {kind:#o} are not those of MFCC_E_D_A at 10 ms");
+        bail!(
+            File,
+            "period {period}, frame size {size}, kind {kind:#o} are not those of MFCC_E_D_A at 10 ms"
+        );
     }
     if Some(body.len()) != frames.checked_mul(4 * N_OBSERVATION) {
-        bail!("the header promises {frames} frames, {} bytes follow", body.len());
+        bail!(
+            File,
+            "the header promises {frames} frames, {} bytes follow",
+            body.len()
+        );
     }
     let values = body
         .chunks_exact(4)

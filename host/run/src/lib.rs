@@ -33,6 +33,7 @@
 
 pub mod cues;
 pub mod engine;
+pub mod error;
 pub mod export;
 pub mod frontend;
 pub mod hmm;
@@ -53,3 +54,5 @@ pub mod shipped;
 pub mod synthetic;
 pub mod tensors;
 pub mod time;
+
+pub use error::{Error, Result};

@@ -11,12 +11,20 @@ pub enum LinkError {
     #[error(
         "the device speaks protocol {theirs}, this program {PROTOCOL}: flash the firmware of this program's version"
     )]
-    Protocol { theirs: u8 },
-    /// The device runs another model than the one here; each is given by its number.
+    Protocol {
+        /// The device's version.
+        theirs: u8,
+    },
+    /// The device runs another model than the one here.
     #[error(
         "the device runs model {theirs:08x}, here is {ours:08x}: flash this model or choose the device's"
     )]
-    Model { theirs: u32, ours: u32 },
+    Model {
+        /// Number of the device's model.
+        theirs: u32,
+        /// Number of the model here.
+        ours: u32,
+    },
 }
 
 /// What has been lost on the line since the link was opened.

@@ -1,7 +1,7 @@
 //! The eigenmouth space (X&L section 5, eq. 12-13): mean mouth image, eigenmouths, and both ways through them.
-use anyhow::{Result, bail};
 use ndarray::{Array1, Array2, ArrayView1, Axis};
 
+use crate::error::{Result, bail};
 use crate::tensors::{Tensors, TensorsBuilder};
 
 /// Mean and eigenmouths of colour images, rows of interleaved R, G, B in 0..255.
@@ -29,10 +29,15 @@ impl MouthSpace {
     ///
     /// Without their mean over the clip (`remove_mean`, the default of `prepare`): what stays the same for a whole clip is light
     /// and stubble, not speech, and [`MouthSpace::expand`] then puts the mouth on the speaker's own mean.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Data`](crate::Error::Data): the bytes are no whole number of images of this size.
     pub fn project_clip(&self, images: &[u8], remove_mean: bool) -> Result<Array2<f32>> {
         let pixels = self.mean.len();
         if pixels == 0 || !images.len().is_multiple_of(pixels) {
             bail!(
+                Data,
                 "{} bytes are no mouth images of {}×{}",
                 images.len(),
                 self.width,
@@ -88,6 +93,7 @@ impl MouthSpace {
             || space.deviation.len() != space.basis.nrows()
         {
             bail!(
+                File,
                 "the mouth tensors do not fit a {}×{} image",
                 space.width,
                 space.height

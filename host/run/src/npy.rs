@@ -1,16 +1,22 @@
 //! Arrays of numbers as `.npy` files.
 use std::path::Path;
 
-use anyhow::{Context, Result, bail};
 use lipstream_media::files;
 use ndarray::Array2;
 
+use crate::error::{Context as _, Result, bail};
+
 /// Reads a two-dimensional f32 array and refuses NaN and infinities.
+///
+/// # Errors
+///
+/// That the file cannot be read, holds something else, or a number that is none.
 pub fn read_npy(path: &Path) -> Result<Array2<f32>> {
     let array: Array2<f32> =
         ndarray_npy::read_npy(path).with_context(|| format!("cannot read {}", path.display()))?;
     if let Some(((row, column), _)) = array.indexed_iter().find(|(_, v)| !v.is_finite()) {
         bail!(
+            File,
             "{}: the number in row {row}, column {column} is not finite",
             path.display()
         );

@@ -1,13 +1,47 @@
 //! Parameter files: `.npy` of mouth parameters, `[frames, D]` at 100 Hz, f32 or f64.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, anyhow, bail};
 use ndarray::{Array2, ArrayView2};
 use ndarray_npy::ReadNpyExt as _;
 
 use lipstream_media::files;
 
+use crate::error::{Context as _, Error, Result};
+
+/// What keeps mouth parameters from being drawn.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ParameterError {
+    /// A sound shorter than one window has no frame.
+    #[error("there is no frame in them")]
+    NoFrame,
+    /// A parameter is no number.
+    #[error("parameter {parameter} of frame {frame} is {value}")]
+    Value {
+        /// Which one of the frame, counted from 0.
+        parameter: usize,
+        /// Counted from 0.
+        frame: usize,
+        /// What it is instead.
+        value: f32,
+    },
+    /// Frames have another number of parameters than the mouth that they are to move.
+    #[error(
+        "the parameters are {width} a frame, the model's mouth has {wanted}: they come from another model"
+    )]
+    Width {
+        /// Parameters of a frame.
+        width: usize,
+        /// Numbers that the mouth is drawn from.
+        wanted: usize,
+    },
+}
+
 /// Reads and checks parameters.
+///
+/// # Errors
+///
+/// That the file cannot be read or holds something else; [`ParameterError`] as the cause of what cannot be drawn.
 pub fn read(path: &Path) -> Result<Array2<f32>> {
     let bytes = files::read_bytes(path)?;
     let tracks = match Array2::<f32>::read_npy(&bytes[..]) {
@@ -15,10 +49,10 @@ pub fn read(path: &Path) -> Result<Array2<f32>> {
         Err(single) => Array2::<f64>::read_npy(&bytes[..])
             .map(|tracks| tracks.mapv(|v| v as f32))
             .map_err(|_| {
-                anyhow!(
+                Error::File(format!(
                     "{} holds no parameters: expected .npy of f32, [frames, D] at 100 Hz ({single})",
                     path.display()
-                )
+                ))
             })?,
     };
     check(tracks.view()).with_context(|| format!("{} holds no usable parameters", path.display()))?;
@@ -26,21 +60,39 @@ pub fn read(path: &Path) -> Result<Array2<f32>> {
 }
 
 /// Refuses nothing at all and numbers that are none.
-pub fn check(tracks: ArrayView2<f32>) -> Result<()> {
+///
+/// # Errors
+///
+/// [`ParameterError::NoFrame`] and [`ParameterError::Value`].
+pub fn check(tracks: ArrayView2<f32>) -> Result<(), ParameterError> {
     if tracks.is_empty() {
-        bail!("there is no frame in them");
+        return Err(ParameterError::NoFrame);
     }
     for (t, row) in tracks.outer_iter().enumerate() {
-        if let Some(k) = row.iter().position(|v| !v.is_finite()) {
-            bail!("parameter {k} of frame {t} is {}", row[k]);
-        }
+        check_frame(t, row)?;
     }
     Ok(())
+}
+
+/// Refuses numbers that are none.
+pub(crate) fn check_frame<'p>(
+    frame: usize,
+    parameters: impl IntoIterator<Item = &'p f32>,
+) -> Result<(), ParameterError> {
+    match parameters.into_iter().enumerate().find(|(_, v)| !v.is_finite()) {
+        None => Ok(()),
+        Some((parameter, &value)) => Err(ParameterError::Value {
+            parameter,
+            frame,
+            value,
+        }),
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::chain;
     use ndarray::array;
     use ndarray_npy::WriteNpyExt as _;
 
@@ -62,7 +114,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("p.npy");
         let refused = |path: &Path| {
-            let line = format!("{:#}", read(path).unwrap_err());
+            let line = chain(&read(path).unwrap_err());
             assert!(line.contains("p.npy") && !line.contains('\n'), "{line}");
             line
         };

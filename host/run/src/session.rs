@@ -18,7 +18,8 @@ use lipstream_core::{AnyStream, N_OBSERVATION, ParameterFrame};
 use ndarray::Array2;
 
 use crate::engine::Converted;
-use crate::kinds::likelihood::live::{Live as LocalLinear, NotFinite};
+use crate::kinds::likelihood::NotFinite;
+use crate::kinds::likelihood::live::Live as LocalLinear;
 use crate::kinds::recurrent::live::{Live as Recurrent, Spoken};
 use crate::kinds::recurrent::settle::settle_frame;
 use crate::phones::VISEMES;

@@ -3,11 +3,12 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::str::FromStr;
 
-use anyhow::{Context, Result, anyhow, bail};
 use ndarray::{Array, ArrayBase, Data, Dimension};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
 use lipstream_media::files;
+
+use crate::error::{Context as _, Error, Result, bail};
 
 /// What has been read from a file.
 pub struct Tensors {
@@ -65,9 +66,14 @@ impl Tensors {
     }
 
     /// A file's bytes; `name` says in errors where they are from.
+    ///
+    /// # Errors
+    ///
+    /// That they were not written by lipstream, or are damaged.
     pub fn parse(bytes: &[u8], name: &str) -> Result<Self> {
         if bytes.starts_with(&lipstream_core::model::container::MAGIC) {
             bail!(
+                File,
                 "{name} holds the device's tables; give the model (.safetensors) that they were exported from"
             );
         }
@@ -79,14 +85,16 @@ impl Tensors {
             .as_ref()
             .and_then(|m| m.get("lipstream"))
             .ok_or_else(|| {
-                anyhow!("{name} was not written by lipstream (its header has no `lipstream` note)")
+                Error::File(format!(
+                    "{name} was not written by lipstream (its header has no `lipstream` note)"
+                ))
             })?;
         let notes =
             serde_json::from_str(note).with_context(|| format!("{name}: damaged `lipstream` note"))?;
         let mut arrays = HashMap::new();
         for (key, view) in parsed.tensors() {
             if view.dtype() != Dtype::F32 {
-                bail!("{name}: tensor {key} is not f32");
+                bail!(File, "{name}: tensor {key} is not f32");
             }
             let values: Vec<f32> = view
                 .data()
@@ -94,7 +102,7 @@ impl Tensors {
                 .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
                 .collect();
             if values.iter().any(|v| !v.is_finite()) {
-                bail!("{name}: tensor {key} holds a number that is not finite");
+                bail!(File, "{name}: tensor {key} holds a number that is not finite");
             }
             arrays.insert(key, (view.shape().to_vec(), values));
         }
@@ -106,14 +114,24 @@ impl Tensors {
     }
 
     /// The array called `name`, of as many dimensions as the caller's type says.
+    ///
+    /// # Errors
+    ///
+    /// That there is no such array, or that it has another number of dimensions.
     pub fn array<D: Dimension>(&self, name: &str) -> Result<Array<f32, D>> {
         let (shape, values) = self
             .arrays
             .get(name)
-            .ok_or_else(|| anyhow!("{}: no tensor {name}", self.path))?;
+            .ok_or_else(|| Error::File(format!("{}: no tensor {name}", self.path)))?;
         Array::from_shape_vec(shape.clone(), values.clone())?
             .into_dimensionality()
-            .map_err(|_| anyhow!("{}: tensor {name} has {} dimensions", self.path, shape.len()))
+            .map_err(|_| {
+                Error::File(format!(
+                    "{}: tensor {name} has {} dimensions",
+                    self.path,
+                    shape.len()
+                ))
+            })
     }
 
     /// Whether there is an array of this name.
@@ -130,9 +148,9 @@ impl Tensors {
         let text = self
             .notes
             .get(key)
-            .ok_or_else(|| anyhow!("{}: no note {key}", self.path))?;
+            .ok_or_else(|| Error::File(format!("{}: no note {key}", self.path)))?;
         text.parse()
-            .map_err(|_| anyhow!("{}: note {key} is {text:?}", self.path))
+            .map_err(|_| Error::File(format!("{}: note {key} is {text:?}", self.path)))
     }
 }
 

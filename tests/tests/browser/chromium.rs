@@ -51,7 +51,7 @@ impl Browser {
                 "--autoplay-policy=no-user-gesture-required",
                 "--mute-audio",
             ])
-            .args(["--remote-debugging-port=0", "--window-size=1200,1000"])
+            .args(["--remote-debugging-port=0", "--window-size=700,900"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
             .stdout(Stdio::null())

@@ -258,8 +258,8 @@ fn in_a_browser_nothing_attached_offers_the_demo_and_a_model_may_be_missing() {
     // Without a mouth for the demo's model the page shows visemes and numbers.
     let (_desk, server) = desk(folder.path(), false);
     let mut browser = Browser::open(&server.url());
-    browser.wait("!document.getElementById('demo').hidden");
-    browser.evaluate("document.getElementById('demo').click()");
+    browser.wait("document.getElementById('can-demo')?.hidden === false");
+    browser.evaluate("document.getElementById('can-demo').click()");
     browser.wait("window.lipstream.stats().framesReceived > 100");
     browser.photograph(&artefacts().join("without-model.png"));
     let text = browser.evaluate("document.body.innerText");

@@ -1,8 +1,8 @@
 //! `lipstream convert`: sound in, mouth parameters out.
 use std::path::PathBuf;
 
-use anyhow::{Result, anyhow, bail};
-use lipstream::engine::{Engine, RunSettings, SettingError};
+use anyhow::{Result, bail};
+use lipstream::engine::{Engine, RunSettings};
 use lipstream::out::Format;
 use lipstream::session::Frame;
 use lipstream::time::{frame_count, seconds};
@@ -71,7 +71,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         profile: args.profile.map(Into::into),
         settle: args.no_settling.then_some(false),
     };
-    let mut session = engine.session(&with).map_err(advise)?;
+    let mut session = engine.session(&with)?;
     // A sound that is too short is refused before anything is written.
     let mut samples = Vec::new();
     while samples.len() < FRAME_SAMPLES
@@ -174,19 +174,4 @@ pub(super) fn anew(played: &Played) -> &'static str {
         true => "; the device began anew there, what follows is left out",
         false => "",
     }
-}
-
-/// What to do about a setting that cannot be had, in words of the command line.
-pub(super) fn advise(error: SettingError) -> anyhow::Error {
-    let advice = match error {
-        SettingError::Settle => ": leave --no-settling out",
-        SettingError::Feedback => {
-            ": give the model that they were exported from, or export it with --visual-densities"
-        }
-        SettingError::FloatBeam => ": leave --beam out",
-        SettingError::FloatProfile => ": give --lag instead of --profile",
-        SettingError::FloatRecurrent => ": leave --beam, --lag and --feedback out",
-        _ => "",
-    };
-    anyhow!("{error}{advice}")
 }

@@ -5,7 +5,7 @@ use anyhow::{Result, bail};
 use lipstream_core::{Likelihood, Model as Tables};
 
 use lipstream::export::budget::{self, Budget, Candidate};
-use lipstream::export::{Export, ExportSettings, MgeSettings, export, export_mge};
+use lipstream::export::{Export, ExportError, ExportSettings, MgeSettings, export, export_mge};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::shipped;
@@ -157,7 +157,7 @@ impl Kind {
         }
     }
 
-    fn export(&self, beam_bits: f64) -> Result<Export> {
+    fn export(&self, beam_bits: f64) -> Result<Export, ExportError> {
         match self {
             Self::Likelihood(model, settings) => export(
                 model,

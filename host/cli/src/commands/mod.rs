@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 
+mod advice;
 mod align;
 mod choices;
 mod convert;
@@ -48,7 +49,7 @@ enum Command {
 
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
-    match Cli::parse_from(args).command {
+    let done = match Cli::parse_from(args).command {
         Command::Align(args) => align::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Cues(args) => cues::run(args),
@@ -61,7 +62,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Render(args) => render::run(args),
         Command::Train(args) => train::run(*args),
         Command::View(args) => view::run(args),
-    }
+    };
+    done.map_err(advice::with_flags)
 }
 
 #[cfg(test)]

@@ -104,7 +104,7 @@ fn of_parameters(args: &Args, space: &MouthSpace, settings: &Settings) -> Result
     let film = render::film(&scene, settings, sound.as_deref().map(Soundtrack::Samples));
     let mut sink = sink(&args.output, &film)?;
     let samples = sound.as_ref().map(Vec::len);
-    let picture = |rgb: &[u8]| Ok(sink.picture(rgb)?);
+    let picture = |rgb: &[u8]| anyhow::Ok(sink.picture(rgb)?);
     let pictures = render::play(
         &mut scene,
         tracks.view(),
@@ -214,7 +214,7 @@ fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
         }
         Ok(())
     };
-    let mut drawn = Ok(());
+    let mut drawn = anyhow::Ok(());
     let mut take = |frame: Frame| {
         if drawn.is_ok() {
             drawn = player.frame(frame.parameters, &mut picture);

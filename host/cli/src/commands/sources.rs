@@ -71,7 +71,7 @@ impl SourceArgs {
             let unusable = || format!("{} is no usable model", path.display());
             let engine = Engine::fixed(
                 FloatModel::of_tensors(&tensors)
-                    .and_then(|model| model.export(false))
+                    .and_then(|model| Ok(model.export(false)?))
                     .with_context(unusable)?,
             )?;
             if tensors.has("mouth.mean") {

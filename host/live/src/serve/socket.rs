@@ -171,6 +171,7 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
             if let Value::Object(fields) = &mut value {
                 fields.insert("clients".to_owned(), desk.hub().watchers().into());
                 fields.insert("recording".to_owned(), desk.recording().into());
+                fields.insert("running".to_owned(), desk.hub().runs().into());
             }
             Some(text(&value))
         }
@@ -197,7 +198,7 @@ fn idle(desk: &Desk) -> Value {
         "type": "hello",
         "protocol": 1,
         "source": "nothing is attached",
-        "model": "",
+        "model": "none",
         "rate_hz": 100,
         "sample_rate_hz": lipstream_core::SAMPLE_RATE_HZ,
         "lag_samples": 0,

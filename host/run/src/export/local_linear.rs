@@ -1,7 +1,6 @@
 //! Tables of a local linear model: quantised densities, the projection of the context, the maps.
 use std::f64::consts::{LOG2_E, PI};
 
-use anyhow::{Result, bail, ensure};
 use lipstream_core::context::tables::{MAX_INPUTS, MAX_TAPS};
 use lipstream_core::frame::MAX_PARAMETERS;
 use lipstream_core::hmm::transition::{MAX_PHONES, N_VISUAL_STATES};
@@ -10,8 +9,9 @@ use lipstream_core::logmath::FRACTION_BITS;
 use lipstream_core::model::Section;
 use ndarray::Axis;
 
-use super::ExportSettings;
 use super::tables::{Errors, SumRows, Tables, beam};
+use super::{ExportError, ExportSettings, Result};
+use crate::error::{bail, ensure};
 use crate::hmm::mixtures::Mixtures;
 use crate::kinds::likelihood::Model;
 use crate::kinds::likelihood::inversion::centres;
@@ -39,10 +39,16 @@ impl Tables {
         distance_gain: u32,
         visual_distance_gain: u32,
     ) -> Result<()> {
-        ensure!(with.lag <= 1000, "a lag of {} hops is too long", with.lag);
+        ensure!(
+            with.lag <= 1000,
+            ExportError::Setting,
+            "a lag of {} hops is too long",
+            with.lag
+        );
         let scale = with.acoustic_scale * 65536.0;
         ensure!(
             (0.0..=f64::from(MAX_ACOUSTIC_SCALE)).contains(&scale),
+            ExportError::Setting,
             "an acoustic scale of {} is out of range",
             with.acoustic_scale
         );
@@ -116,7 +122,12 @@ impl Tables {
             .filter(|(_, w)| is_used(**w))
             .map(|(at, _)| at)
             .collect();
-        ensure!(!used.is_empty(), "the model has no density for {}", what.name);
+        ensure!(
+            !used.is_empty(),
+            ExportError::Number,
+            "the model has no density for {}",
+            what.name
+        );
         let size = mixtures.mean.dim().2;
         let mut centre = vec![0f64; size];
         let mut step = vec![0f64; size];
@@ -139,6 +150,7 @@ impl Tables {
         let gain = 0.5 * LOG2_E * unit * unit * f64::from(1 << FRACTION_BITS) * f64::from(1 << 20);
         if gain > f64::from(MAX_DISTANCE_GAIN) {
             bail!(
+                ExportError::Number,
                 "the variances of {} differ too much for the device's tables",
                 what.name
             );
@@ -149,11 +161,13 @@ impl Tables {
             .collect();
         ensure!(
             gains.iter().all(|g| (1..=MAX_GAIN).contains(g)),
+            ExportError::Number,
             "a variance of {} is too small or too large for the device's tables",
             what.name
         );
         ensure!(
             centre.iter().all(|c| c.abs() < 128.0),
+            ExportError::Number,
             "a mean of {} is outside the range of the device's tables",
             what.name
         );
@@ -204,6 +218,7 @@ impl Tables {
                 let q = (constant * f64::from(1 << FRACTION_BITS)).round();
                 ensure!(
                     q.abs() <= f64::from(MAX_CONSTANT),
+                    ExportError::Number,
                     "a weight or variance of {} is out of range",
                     into[0].name
                 );

@@ -3,7 +3,6 @@
 //! as codes of [`lipstream_core::kinds::recurrent::rate`].
 use std::f64::consts::LOG2_E;
 
-use anyhow::{Result, bail, ensure};
 use lipstream_core::N_STATIC;
 use lipstream_core::context::tables::{MAX_INPUTS, MAX_MEANS, MAX_OFFSET, MAX_TAPS};
 use lipstream_core::frame::MAX_PARAMETERS;
@@ -14,8 +13,9 @@ use lipstream_core::logmath::FRACTION_BITS;
 use lipstream_core::model::Section;
 use ndarray::Array2;
 
-use super::Export;
 use super::tables::{Errors, SumRows, Tables, beam};
+use super::{Export, ExportError, Result};
+use crate::error::{bail, ensure};
 use crate::kinds::recurrent::model::RecurrentModel;
 use crate::kinds::recurrent::parameters::{Feedback, Group};
 use crate::kinds::recurrent::step::softmax;
@@ -41,13 +41,16 @@ const SIGNAL: f64 = (1 << SIGNAL_FRACTION_BITS) as f64;
 const BIT: f64 = (1 << FRACTION_BITS) as f64;
 
 /// Quantises `model`.
+///
+/// # Errors
+///
+/// [`ExportError`]: what it hears of itself, its size or a number in it is none that the device takes, or the beam is out of its range.
 pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
     let p = &model.parameters;
     let of = &p.shape;
-    ensure!(
-        of.feedback != Feedback::Memory,
-        "the device feeds back the mouth, not the memory: train with `--feedback output`"
-    );
+    if of.feedback == Feedback::Memory {
+        return Err(ExportError::MemoryFeedback);
+    }
     let means = of.context.shifts.len();
     let mut tables = Tables::new(&[
         ("phones", of.phones, MAX_PHONES),
@@ -58,6 +61,7 @@ pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
     ])?;
     ensure!(
         means <= MAX_MEANS,
+        ExportError::Size,
         "the model has {means} exponential means, the device takes {MAX_MEANS}"
     );
     tables.put_phones(&model.parent.phones)?;
@@ -106,7 +110,10 @@ impl Tables {
         for &shift in &of.context.shifts {
             match u8::try_from(shift) {
                 Ok(shift @ 1..=MAX_MEAN_SHIFT) => shifts.push(shift),
-                _ => bail!("an exponential mean of rate 2^-{shift} is outside the device's 1..=12"),
+                _ => bail!(
+                    ExportError::Number,
+                    "an exponential mean of rate 2^-{shift} is outside the device's 1..=12"
+                ),
             }
         }
         let mut bytes = Vec::new();
@@ -189,6 +196,7 @@ impl Tables {
             };
             ensure!(
                 scale.round() <= f64::from(most),
+                ExportError::Number,
                 "a weight of {largest} in {} is too large for the device's tables",
                 matrix.weights.name
             );
@@ -207,6 +215,7 @@ impl Tables {
                 let b = (b * output).round();
                 ensure!(
                     b.abs() <= f64::from(MAX_OFFSET),
+                    ExportError::Number,
                     "a bias in {} is too large for the device's tables",
                     section.name
                 );
@@ -265,6 +274,7 @@ impl Tables {
                     let whole = (step * f64::from(1 << SCALE_FRACTION_BITS)).round();
                     ensure!(
                         whole <= f64::from(i32::MAX),
+                        ExportError::Number,
                         "what a state owns is too large for the device's tables"
                     );
                     *scale = whole as i32;

@@ -7,13 +7,39 @@ mod local_linear;
 mod mge;
 mod tables;
 
-use anyhow::{Result, bail};
 use lipstream_core::kinds::{Kind, Likelihood};
+use lipstream_core::model::ModelError;
 use serde::Serialize;
 
-use crate::hmm::system::System;
 use crate::kinds::likelihood::Model;
 pub use mge::{ExportSettings as MgeSettings, export as export_mge};
+
+/// Why the device cannot run a model.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The device speaks by local linear maps only, and this system speaks in another way: train a model of another system.
+    #[error("the device cannot run a model of system {0}")]
+    System(&'static str),
+    /// The model hears its own memory, which the device does not feed back: train one that hears its mouth, or nothing.
+    #[error("the device feeds back the mouth, not the memory")]
+    MemoryFeedback,
+    /// The model has more of something than the device has room for: train a smaller one.
+    #[error("{0}")]
+    Size(String),
+    /// A setting is out of its range: choose another value.
+    #[error("{0}")]
+    Setting(String),
+    /// A number of the model is outside what the tables can hold, or missing: the model is unusual or damaged.
+    #[error("{0}")]
+    Number(String),
+    /// The tables that were made are refused by the device's own reader.
+    #[error(transparent)]
+    Tables(#[from] ModelError),
+}
+
+/// What everything here that can fail returns.
+type Result<T, E = ExportError> = std::result::Result<T, E>;
 
 /// Run-time settings that go into the tables.
 #[derive(Clone, Copy, Debug)]
@@ -80,13 +106,13 @@ pub struct ErrorReport {
 }
 
 /// Quantises `model`.
+///
+/// # Errors
+///
+/// [`ExportError`]: its system, its size or a number in it is none that the device takes, or a setting is out of its range.
 pub fn export(model: &Model, with: &ExportSettings) -> Result<Export> {
     if !model.system.is_live() {
-        bail!(
-            "the device cannot run a model of system {}: train one with `--system {}`",
-            model.system.name,
-            System::LOCAL_LINEAR.name
-        );
+        return Err(ExportError::System(model.system.name));
     }
     let mut tables = local_linear::begin(model)?;
     tables.put_phones(&model.phones)?;

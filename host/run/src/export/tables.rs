@@ -1,7 +1,6 @@
 //! What the tables of every model have: sizes, settings, phones, transitions; and the container.
 use std::f64::consts::LN_2;
 
-use anyhow::{Result, ensure};
 use lipstream_core::context::tables::{
     FIRST_TAP, LAST_TAP, MAX_OFFSET, MAX_SHIFT, PROJECTION, PROJECTION_OFFSET, PROJECTION_SHIFT, TAPS,
     put_sum_row, put_taps,
@@ -17,7 +16,8 @@ use lipstream_core::model::common::{GROUPS, PARAMETER_SCALE, START_MEAN, put_gro
 use lipstream_core::model::{Section, container, put_f32s, put_i16s};
 use ndarray::{Array1, Array2, Array3};
 
-use super::{ErrorReport, Export, SectionReport};
+use super::{ErrorReport, Export, ExportError, Result, SectionReport};
+use crate::error::ensure;
 use crate::hmm::mixtures::Mixtures;
 use crate::phones::{Phone, VISEMES};
 
@@ -77,6 +77,7 @@ impl Tables {
         for &(what, have, limit) in sizes {
             ensure!(
                 (1..=limit).contains(&have),
+                ExportError::Size,
                 "the model has {have} {what}, the device takes 1 to {limit}"
             );
         }
@@ -102,6 +103,7 @@ impl Tables {
         for phone in phones {
             ensure!(
                 phone.name().len() <= NAME_SIZE,
+                ExportError::Size,
                 "phone name {} is too long",
                 phone.name()
             );
@@ -130,6 +132,7 @@ impl Tables {
         for &tap in taps {
             ensure!(
                 tap >= i32::from(FIRST_TAP) && tap <= i32::from(LAST_TAP),
+                ExportError::Number,
                 "context tap {tap} is outside {}..={}",
                 FIRST_TAP,
                 LAST_TAP
@@ -137,6 +140,7 @@ impl Tables {
         }
         ensure!(
             taps.is_sorted_by(|a, b| a < b),
+            ExportError::Number,
             "the context taps are not strictly increasing"
         );
         let mut bytes = Vec::new();
@@ -211,6 +215,7 @@ pub(super) fn beam(bits: f64) -> Result<LogProb> {
     let q12 = bits * f64::from(1 << FRACTION_BITS);
     ensure!(
         q12 >= 1.0 && q12 <= f64::from(MAX_BEAM),
+        ExportError::Setting,
         "a beam of {bits} bits is out of range"
     );
     Ok(LogProb::from_q12(q12.round() as i32))
@@ -247,6 +252,7 @@ impl SumRows {
         };
         ensure!(
             shift >= 0.0,
+            ExportError::Number,
             "a weight of {largest} is too large for the device's tables"
         );
         let up = shift.exp2();
@@ -261,6 +267,7 @@ impl SumRows {
         }
         ensure!(
             offset.abs() <= f64::from(MAX_OFFSET),
+            ExportError::Number,
             "an offset of {offset} is too large for the device's tables"
         );
         put_sum_row(

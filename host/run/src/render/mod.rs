@@ -3,12 +3,13 @@
 //! Time: parameters of frame t belong to sample 160·t + 200 of the sound; picture n is on the
 //! screen from n/fps to (n + 1)/fps seconds and shows the parameters of the middle of that time, as training takes picture n
 //! of a recording for the middle of its exposure.
-use anyhow::{Result, bail};
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_media::sink::{Film, Mp4Bytes, Soundtrack};
 use ndarray::{Array1, ArrayView1, ArrayView2};
 
+use crate::error::{Error, Result, bail};
 use crate::mouth::MouthSpace;
+use crate::parameters::ParameterError;
 use crate::progress::{Progress, Steps};
 use crate::{parameters, time};
 
@@ -44,19 +45,26 @@ const MAX_SIDE: usize = 4096;
 
 impl Settings {
     /// Width and height of the pictures of `space`: multiples of 16, as video codecs like them.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Choice`]: a setting is out of its range.
     pub fn size(&self, space: &MouthSpace) -> Result<(usize, usize)> {
         if !(1..=100).contains(&self.fps) {
-            bail!("{} pictures a second: choose 1 to 100", self.fps);
+            bail!(Choice, "{} pictures a second: choose 1 to 100", self.fps);
         }
         let scale = match self.scale {
-            Some(0) => bail!("a scale of 0 leaves nothing to see: choose 1 or more"),
+            Some(0) => bail!(Choice, "a scale of 0 leaves nothing to see: choose 1 or more"),
             Some(scale) => scale,
             None => (384 / space.width).max(1),
         };
         let side = |native: usize| (native.saturating_mul(scale).saturating_add(8) / 16 * 16).max(16);
         let (width, height) = (side(space.width), side(space.height));
         if width > MAX_SIDE || height > MAX_SIDE {
-            bail!("pictures of {width}×{height}: choose a smaller scale (largest side {MAX_SIDE})");
+            bail!(
+                Choice,
+                "pictures of {width}×{height}: choose a smaller scale (largest side {MAX_SIDE})"
+            );
         }
         Ok((width, height))
     }
@@ -81,7 +89,7 @@ pub trait Scene {
     ///
     /// # Errors
     ///
-    /// What keeps the picture from being drawn.
+    /// What keeps the picture from being drawn; [`Error::other`] takes an error of the scene's own.
     fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>>;
 }
 
@@ -121,17 +129,12 @@ impl<'a> Player<'a> {
     /// # Errors
     ///
     /// Parameters that are no numbers or not as many as the scene draws from, and what scene and `each` say.
-    pub fn frame(&mut self, parameters: &[f32], mut each: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
-        let wanted = self.scene.n_parameters();
-        if parameters.len() != wanted {
-            bail!(
-                "the parameters are {} a frame, the model's mouth has {wanted}: they come from another model",
-                parameters.len()
-            );
-        }
-        if let Some(k) = parameters.iter().position(|v| !v.is_finite()) {
-            bail!("parameter {k} of frame {} is {}", self.frames, parameters[k]);
-        }
+    pub fn frame<E: From<Error>>(
+        &mut self,
+        parameters: &[f32],
+        mut each: impl FnMut(&[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
+        self.check(parameters).map_err(Error::from)?;
         std::mem::swap(&mut self.before, &mut self.last);
         self.last.clear();
         self.last.extend(parameters);
@@ -143,14 +146,27 @@ impl<'a> Player<'a> {
         Ok(())
     }
 
+    /// Refuses what the scene cannot draw.
+    fn check(&self, parameters: &[f32]) -> Result<(), ParameterError> {
+        let (width, wanted) = (parameters.len(), self.scene.n_parameters());
+        if width != wanted {
+            return Err(ParameterError::Width { width, wanted });
+        }
+        parameters::check_frame(self.frames, parameters)
+    }
+
     /// The sound has ended: the pictures up to its end, `samples`, in which the mouth rests where the last frame has left it.
     ///
     /// # Errors
     ///
     /// That there was no frame, and what scene and `each` say.
-    pub fn finish(&mut self, samples: usize, mut each: impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+    pub fn finish<E: From<Error>>(
+        &mut self,
+        samples: usize,
+        mut each: impl FnMut(&[u8]) -> Result<(), E>,
+    ) -> Result<(), E> {
         if self.frames == 0 {
-            bail!("there is no frame in them");
+            return Err(Error::from(ParameterError::NoFrame).into());
         }
         while self.pictures < picture_count(samples, self.fps).max(1) {
             self.picture(&mut each)?;
@@ -164,7 +180,7 @@ impl<'a> Player<'a> {
         (time::frame_at(middle) as f32).max(0.0)
     }
 
-    fn picture(&mut self, each: &mut impl FnMut(&[u8]) -> Result<()>) -> Result<()> {
+    fn picture<E: From<Error>>(&mut self, each: &mut impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
         let last = self.frames - 1;
         let place = self.place().min(last as f32);
         let (at, part) = (place.floor() as usize, place.fract());
@@ -198,21 +214,21 @@ pub struct Rendered {
 /// # Errors
 ///
 /// Parameters that cannot be drawn, and what scene and sink say.
-pub fn play(
+pub fn play<E: From<Error>>(
     scene: &mut dyn Scene,
     tracks: ArrayView2<f32>,
     fps: u32,
     samples: Option<usize>,
-    mut sink: impl FnMut(&[u8]) -> Result<()>,
+    mut sink: impl FnMut(&[u8]) -> Result<(), E>,
     progress: &dyn Progress,
-) -> Result<usize> {
-    parameters::check(tracks)?;
+) -> Result<usize, E> {
+    parameters::check(tracks).map_err(Error::from)?;
     let samples = samples.unwrap_or_else(|| time::samples_covered(tracks.nrows()));
     let all = picture_count(samples, fps).max(1);
     let mut player = Player::new(scene, fps);
     let steps = Steps::begin(progress, PICTURES, all);
     let mut done = 0;
-    let mut each = |rgb: &[u8]| {
+    let mut each = |rgb: &[u8]| -> Result<(), E> {
         // The sound may end before the frames do.
         if done < all {
             sink(rgb)?;
@@ -247,7 +263,7 @@ pub fn to_mp4(
     let film = film(&scene, settings, sound.map(Soundtrack::Samples));
     let mut mp4 = Mp4Bytes::new(&film)?;
     let samples = sound.map(<[i16]>::len);
-    let sink = |rgb: &[u8]| Ok(mp4.picture(rgb)?);
+    let sink = |rgb: &[u8]| mp4.picture(rgb).map_err(Error::from);
     let pictures = play(&mut scene, tracks, film.fps, samples, sink, progress)?;
     Ok(Rendered {
         mp4: mp4.bytes()?,

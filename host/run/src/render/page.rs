@@ -1,6 +1,5 @@
 //! One HTML file that plays the mouth with its sound and draws what the model thinks. It needs nothing outside
 //! itself: the video is a data: URI, the numbers are JSON.
-use anyhow::{Result, bail};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
@@ -8,6 +7,7 @@ use ndarray::{ArrayView1, ArrayView2};
 use serde_json::json;
 
 use crate::cues::Cue;
+use crate::error::{Result, bail};
 use crate::phones::{Phone, VISEMES};
 
 const TEMPLATE: &str = include_str!("page.html");
@@ -35,11 +35,18 @@ pub struct Page<'a> {
 }
 
 /// The page's text.
+///
+/// # Errors
+///
+/// [`Error::Data`](crate::Error::Data): viseme weights, deviations and parameters are of different sizes.
 pub fn write(page: &Page) -> Result<String> {
     let frames = page.parameters.nrows();
     if page.viseme_weights.dim() != (frames, VISEMES.len()) || page.deviation.len() != page.parameters.ncols()
     {
-        bail!("the viseme weights or deviations do not belong to the parameters");
+        bail!(
+            Data,
+            "the viseme weights or deviations do not belong to the parameters"
+        );
     }
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let weights: Vec<u8> = page.viseme_weights.iter().map(|&w| byte(w)).collect();

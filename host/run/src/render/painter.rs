@@ -1,5 +1,4 @@
 //! One picture: PCA expansion (X&L eq. 16), camera noise (section 6.1), enlargement.
-use anyhow::{Result, anyhow};
 use ndarray::ArrayView1;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg32;
@@ -7,6 +6,7 @@ use resize::Pixel;
 use resize::px::RGB;
 
 use super::{Scene, Settings};
+use crate::error::{Context as _, Result, bail};
 use crate::mouth::MouthSpace;
 
 /// The mouth alone, in pictures of one size.
@@ -28,7 +28,7 @@ impl<'a> Painter<'a> {
     pub fn new(space: &'a MouthSpace, settings: &Settings) -> Result<Self> {
         let (width, height) = settings.size(space)?;
         if !(0.0..=100.0).contains(&settings.noise) {
-            return Err(anyhow!("noise of {} levels: choose 0 to 100", settings.noise));
+            bail!(Choice, "noise of {} levels: choose 0 to 100", settings.noise);
         }
         let enlarge = resize::new(
             space.width,
@@ -39,7 +39,7 @@ impl<'a> Painter<'a> {
             // Interpolates the pixels it is given: no blur, and less ringing than Lanczos.
             resize::Type::Catrom,
         )
-        .map_err(|e| anyhow!("cannot enlarge the mouth to {width}×{height}: {e}"))?;
+        .with_context(|| format!("cannot enlarge the mouth to {width}×{height}"))?;
         Ok(Self {
             space,
             enlarge,
@@ -78,7 +78,7 @@ impl Scene for Painter<'_> {
         let mut large = vec![RGB::new(0.0, 0.0, 0.0); self.width * self.height];
         self.enlarge
             .resize(&native, &mut large)
-            .map_err(|e| anyhow!("cannot enlarge the mouth: {e}"))?;
+            .context("cannot enlarge the mouth")?;
         Ok(large
             .iter()
             .flat_map(|p| [p.r, p.g, p.b])

@@ -1,5 +1,6 @@
 //! The whole way from parameters to a file, read back by a reader of its own.
 use super::*;
+use crate::error::chain;
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES};
 use lipstream_media::encode::{aac, colour};
 use lipstream_media::sink::Sink as _;
@@ -244,7 +245,7 @@ fn what_cannot_be_drawn_is_refused_in_words() {
         let error = to_mp4(&space, tracks.view(), None, &Settings::default(), &())
             .err()
             .unwrap();
-        format!("{error:#}")
+        chain(&error)
     };
     assert!(said(Array2::zeros((0, 6))).contains("no frame"));
     assert!(said(Array2::zeros((3, 5))).contains("another model"));
@@ -273,7 +274,7 @@ fn other_formats_need_ffmpeg_and_say_so() {
             tracks.view(),
             film.fps,
             Some(sound.len()),
-            |rgb| Ok(sink.picture(rgb)?),
+            |rgb| sink.picture(rgb).map_err(Error::from),
             &(),
         )?;
         sink.finish()?;
@@ -285,7 +286,7 @@ fn other_formats_need_ffmpeg_and_say_so() {
             assert!(std::fs::read(&path).unwrap().starts_with(b"GIF89a"));
         }
         Err(error) => {
-            let line = format!("{error:#}");
+            let line = chain(&error);
             assert!(line.contains("install it") && !line.contains('\n'), "{line}");
             assert!(!path.exists());
         }
@@ -322,7 +323,15 @@ fn at_pictures(tracks: ArrayView2<f32>, fps: u32, samples: usize) -> Array2<f32>
         width: tracks.ncols(),
         seen: Vec::new(),
     };
-    let count = play(&mut scene, tracks, fps, Some(samples), |_| Ok(()), &()).unwrap();
+    let count = play(
+        &mut scene,
+        tracks,
+        fps,
+        Some(samples),
+        |_| Ok::<_, Error>(()),
+        &(),
+    )
+    .unwrap();
     scene.seen.truncate(count * tracks.ncols());
     Array2::from_shape_vec((count, tracks.ncols()), scene.seen).unwrap()
 }

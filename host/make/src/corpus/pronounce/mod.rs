@@ -88,12 +88,9 @@ impl Pronouncer {
             return Ok((finish(found), Origin::Inflected));
         }
         match self.spelled(text) {
-            phones if phones.is_empty() => {
-                bail!(
-                    Data,
-                    "nothing tells how {text:?} is pronounced: add it to a file for --dictionary"
-                )
-            }
+            phones if phones.is_empty() => Err(Error::Unspoken {
+                word: text.to_owned(),
+            }),
             phones => Ok((finish(vec![phones]), Origin::Letters)),
         }
     }
@@ -428,7 +425,7 @@ mod tests {
         }
         assert_eq!(say(&p, "xqz").0[0], "eh k s k y uw z eh d");
         let error = p.word(&transcript::words("да")[0]).unwrap_err();
-        assert!(error.to_string().contains("--dictionary"));
+        assert!(error.to_string().contains("add it to a dictionary"));
     }
 
     /// Edits between two pronunciations: insertions, deletions and substitutions.

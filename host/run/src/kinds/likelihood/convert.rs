@@ -1,7 +1,6 @@
 //! Conversion in floats: the phone loop followed by the sound alone, and the local linear maps that it chooses
 //! (`docs/design.md` sections 5 and 6): what `core` does in integers, without beam or rounding. Systems that speak by means are
 //! in [`super::inversion`].
-use anyhow::{Result, bail};
 use ndarray::{Array2, Axis, s};
 
 use super::inversion::Inverter;
@@ -12,9 +11,12 @@ use crate::hmm::graph::Graph;
 use crate::hmm::joint::N_EMITTING;
 use crate::hmm::system::Speech;
 use crate::hmm::topology::VisualAtom;
-use crate::kinds::likelihood::Model;
 use crate::kinds::likelihood::local_linear;
+use crate::kinds::likelihood::{Model, NotFinite};
 use crate::phones::VISEMES;
+
+/// What conversion returns.
+type Result<T, E = NotFinite> = std::result::Result<T, E>;
 
 /// How much of the future an occupancy may know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,9 +73,7 @@ impl Follower {
         let log = self.log_likelihoods(observations);
         let emission =
             |t: usize, s: usize| self.acoustic_scale * f64::from(log[[t, self.graph.states[s].audio]]);
-        let Some(forward) = forward(&self.graph, &self.probability, frames, &emission) else {
-            bail!("the audio observations are not finite");
-        };
+        let forward = forward(&self.graph, &self.probability, frames, &emission).ok_or(NotFinite)?;
         let gamma = match lag {
             Lag::Whole => forward.backward(&self.graph, &self.probability, |_, _, _| ()),
             Lag::Frames(lag) => forward.fixed_lag(&self.graph, &self.probability, lag),

@@ -7,7 +7,6 @@
 //! The streams' likelihoods have exponents: α on the sound (frames overlap, so that they are not independent) and κ on
 //! the mouth. EM climbs Σ_q P(q) Π b_a(oᵃ)^α b_v(ôᵛ)^κ for any of them: ln b_v^κ = κ ln Σ_k, whose lower bound the M step
 //! maximises whatever κ is.
-use anyhow::{Context as _, Result};
 use ndarray::{Array2, Array3, Axis, s};
 
 use crate::hmm::Hmm;
@@ -16,9 +15,10 @@ use crate::hmm::forward_backward::{Forward, forward_from, viterbi, viterbi_withi
 use crate::hmm::graph::{Graph, log_sum};
 use crate::hmm::mixtures::Mixtures;
 use crate::hmm::system::Density;
-use crate::kinds::likelihood::{EmSettings, MStep};
+use crate::kinds::likelihood::{EmSettings, MStep, NotFinite};
 
-const NOT_FINITE: &str = "the audio observations are not finite";
+/// What conversion returns.
+type Result<T, E = NotFinite> = std::result::Result<T, E>;
 
 /// A mouth during EM, and how likely it is.
 #[derive(Clone, Debug)]
@@ -101,7 +101,7 @@ impl Inverter {
             return Ok(self.centres_on(&[]));
         }
         let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
-        let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission).context(NOT_FINITE)?;
+        let (path, _) = viterbi(&self.graph, &self.probability, frames, &emission).ok_or(NotFinite)?;
         Ok(self.centres_on(&path))
     }
 
@@ -147,8 +147,7 @@ impl Inverter {
     fn centres_within(&self, heard: &Heard, lag: usize) -> Result<Array2<f32>> {
         let frames = heard.state.nrows();
         let emission = |t: usize, s: usize| f64::from(heard.state[[t, self.graph.states[s].audio]]);
-        let path =
-            viterbi_within(&self.graph, &self.probability, frames, &emission, lag).context(NOT_FINITE)?;
+        let path = viterbi_within(&self.graph, &self.probability, frames, &emission, lag).ok_or(NotFinite)?;
         Ok(self.centres_on(&path))
     }
 
@@ -362,7 +361,7 @@ impl Inverter {
         length: usize,
     ) -> Result<Forward> {
         let emission = |t: usize, s: usize| self.emission(heard, state, t, s);
-        forward_from(&self.graph, &self.probability, before, length, &emission).context(NOT_FINITE)
+        forward_from(&self.graph, &self.probability, before, length, &emission).ok_or(NotFinite)
     }
 }
 

@@ -5,18 +5,13 @@ use lipstream_core::{N_OBSERVATION, N_STATIC};
 use ndarray::{Array1, Array2, s};
 
 use super::convert::{Follower, smooth, viseme_weights};
-use super::{Model, local_linear};
+use super::{Model, NotFinite, local_linear};
 
 /// Frames whose occupancies are settled in one go: the forward pass begins anew with every block, at the price of the lag's frames.
 const BLOCK: usize = 64;
 
 /// A frame that has been mapped, not averaged yet: its parameters and viseme weights.
 type Mapped = (Array1<f32>, Vec<f32>);
-
-/// The sound is such that no path through the model explains it: it holds numbers that are none.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the audio observations are not finite")]
-pub struct NotFinite;
 
 /// One stream through a likelihood-trained model that speaks by local linear maps.
 pub struct Live<'a> {

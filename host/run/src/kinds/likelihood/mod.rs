@@ -2,7 +2,6 @@
 //! moves. What `lipstream train` writes (`.safetensors`) and `lipstream export` quantises.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
 use ndarray::{Array1, Array2, Array3};
 
 pub mod convert;
@@ -10,6 +9,7 @@ pub mod inversion;
 pub mod live;
 pub mod local_linear;
 
+use crate::error::{Context as _, Error, Result, bail};
 use crate::hmm::joint::N_EMITTING;
 use crate::hmm::mixtures::Mixtures;
 use crate::hmm::system::{Density, System};
@@ -21,6 +21,7 @@ use crate::tensors::{Tensors, TensorsBuilder};
 pub const MODEL_VERSION: u32 = 2;
 /// What the file's note `kind` says.
 pub const KIND: &str = "hmm";
+
 /// The projection of stacked statics that the local linear maps read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ContextMap {
@@ -83,6 +84,11 @@ impl Default for EmSettings {
         }
     }
 }
+
+/// The sound is such that no path through the model explains it: it holds numbers that are none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the audio observations are not finite")]
+pub struct NotFinite;
 
 /// Everything that training learns.
 #[derive(Clone, Debug, PartialEq)]
@@ -184,47 +190,55 @@ impl Model {
     }
 
     /// Reads a model file of this kind.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Kind`] for a file of another kind; that it cannot be read, is of another version or is damaged.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
         let kind: String = tensors
             .noted("kind")
             .with_context(|| format!("{} is no usable model", path.display()))?;
-        if kind != KIND {
-            bail!(
-                "{} holds a model of the kind {kind:?}; this needs {KIND:?}",
-                path.display()
-            );
-        }
+        check_kind(&path.display().to_string(), kind)?;
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
     }
 
     /// The model in a file that has been read; refuses another kind.
+    ///
+    /// # Errors
+    ///
+    /// As [`Model::read`].
     pub fn of_tensors(from: &Tensors) -> Result<Self> {
-        let kind: String = from.noted("kind")?;
-        if kind != KIND {
-            bail!("it holds a model of the kind {kind:?}; this needs {KIND:?}");
-        }
+        check_kind("it", from.noted("kind")?)?;
         Self::from_tensors(from)
     }
 
     pub(crate) fn from_tensors(from: &Tensors) -> Result<Self> {
         let version: u32 = from.noted("version")?;
         if version != MODEL_VERSION {
-            bail!("model version {version}, this program reads {MODEL_VERSION}: train it again");
+            bail!(
+                File,
+                "model version {version}, this program reads {MODEL_VERSION}: train it again"
+            );
         }
         let name: String = from.noted("system")?;
-        let system =
-            System::from_name(&name).with_context(|| format!("it holds the unknown system {name:?}"))?;
+        let Some(system) = System::from_name(&name) else {
+            bail!(File, "it holds the unknown system {name:?}");
+        };
         let names: String = from.noted("phones")?;
         let mut phones = Vec::new();
         for name in names.split_whitespace() {
-            phones.push(Phone::from_name(name).with_context(|| format!("unknown phone {name:?}"))?);
+            match Phone::from_name(name) {
+                Some(phone) => phones.push(phone),
+                None => bail!(File, "unknown phone {name:?}"),
+            }
         }
         let taps: String = from.noted("context.taps")?;
         let taps = taps
             .split_whitespace()
             .map(str::parse)
-            .collect::<Result<Vec<i32>, _>>()?;
+            .collect::<Result<Vec<i32>, _>>()
+            .map_err(Error::other)?;
         let mixtures = |name: &str| -> Result<Mixtures> {
             Ok(Mixtures {
                 mean: from.array(&format!("{name}.mean"))?,
@@ -312,40 +326,59 @@ impl Model {
         ];
         for (name, want, have) in shapes {
             if want != have || want.contains(&0) {
-                bail!("tensor {name} has shape {have:?}, expected {want:?}");
+                bail!(File, "tensor {name} has shape {have:?}, expected {want:?}");
             }
         }
         for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
             let (states, k, _) = mixtures.mean.dim();
             if mixtures.variance.shape() != mixtures.mean.shape() || mixtures.log_weight.dim() != (states, k)
             {
-                bail!("the {name} mixtures' shapes do not agree");
+                bail!(File, "the {name} mixtures' shapes do not agree");
             }
             if mixtures.variance.iter().any(|v| *v <= 0.0) {
-                bail!("the {name} mixtures hold a variance that is not positive");
+                bail!(File, "the {name} mixtures hold a variance that is not positive");
             }
         }
         if self.system.density == Density::Joint && self.audio.mean.dim().1 != self.visual.mean.dim().1 {
-            bail!("a joint density has as many components for the sound as for the mouth");
+            bail!(
+                File,
+                "a joint density has as many components for the sound as for the mouth"
+            );
         }
         if self.mouth.as_ref().is_some_and(|m| m.size() != d) {
-            bail!("the mouth has another number of eigenmouths than the maps have rows");
+            bail!(
+                File,
+                "the mouth has another number of eigenmouths than the maps have rows"
+            );
         }
         for scale in [self.following.acoustic_scale, self.conversion.acoustic_scale] {
             if !(scale > 0.0 && scale <= 1.0) {
-                bail!("the acoustic scale {scale} is not in (0, 1]");
+                bail!(File, "the acoustic scale {scale} is not in (0, 1]");
             }
         }
         if !(0.0..=1.0).contains(&self.conversion.visual_exponent) {
             bail!(
+                File,
                 "the visual exponent {} is not in [0, 1]",
                 self.conversion.visual_exponent
             );
         }
         if !self.context.taps.is_sorted() {
-            bail!("the context taps are not in increasing order");
+            bail!(File, "the context taps are not in increasing order");
         }
         Ok(())
+    }
+}
+
+/// Refuses a file that is of another kind than this model's.
+fn check_kind(file: &str, kind: String) -> Result<()> {
+    match kind == KIND {
+        true => Ok(()),
+        false => Err(Error::Kind {
+            file: file.to_owned(),
+            kind,
+            wanted: KIND,
+        }),
     }
 }
 

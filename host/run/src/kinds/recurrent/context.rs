@@ -8,9 +8,10 @@
 //! Before the first frame stands the first frame, after the last one the last. A stream that waits for fewer frames than a
 //! holds its newest frame instead of those that it does not know, and its means end there. The means' rates are powers of two:
 //! shifts on the device.
-use anyhow::{Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::Array2;
+
+use crate::error::{Result, bail};
 
 /// Taps in frames, the largest (the look-ahead) first, and the means' rates as shifts: α = 2^−shift.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,13 +32,21 @@ impl Default for Context {
 }
 
 impl Context {
-    /// Refuses in words what no window can hold.
+    /// Refuses what no window can hold.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Choice`](crate::Error::Choice) says in words what that is.
     pub fn check(&self) -> Result<()> {
         if self.taps.is_empty() || self.taps.windows(2).any(|w| w[0] <= w[1]) {
-            bail!("the taps {:?} do not fall from one to the next", self.taps);
+            bail!(
+                Choice,
+                "the taps {:?} do not fall from one to the next",
+                self.taps
+            );
         }
         if self.taps.iter().any(|t| t.abs() > 1000) || self.shifts.iter().any(|s| *s > 20) {
-            bail!("the context {self:?} reaches too far");
+            bail!(Choice, "the context {self:?} reaches too far");
         }
         Ok(())
     }

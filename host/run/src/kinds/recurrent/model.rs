@@ -2,7 +2,6 @@
 //! they started from.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
 use lipstream_core::N_STATIC;
 use ndarray::{Array1, Array2, Array3, ArrayView2};
 
@@ -10,6 +9,7 @@ use super::chain::{Chain, VISUAL};
 use super::context::Context;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use super::step::{log_softmax_rows, softmax};
+use crate::error::{Context as _, Error, Result, bail};
 use crate::hmm::Hmm;
 use crate::hmm::graph::Graph;
 use crate::hmm::joint::N_TRANSITION_CLASSES;
@@ -134,11 +134,11 @@ impl RecurrentModel {
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path)?;
         if !Self::is_kind(&tensors) {
-            let kind: String = tensors.noted("kind").unwrap_or_else(|_| "unknown".into());
-            bail!(
-                "{} holds a model of the kind {kind:?}, not {KIND:?}: train one with --train mge",
-                path.display()
-            );
+            return Err(Error::Kind {
+                file: path.display().to_string(),
+                kind: tensors.noted("kind").unwrap_or_else(|_| "unknown".into()),
+                wanted: KIND,
+            });
         }
         Self::from_tensors(&tensors).with_context(|| format!("{} is no usable model", path.display()))
     }
@@ -151,7 +151,10 @@ impl RecurrentModel {
     pub fn from_tensors(from: &Tensors) -> Result<Self> {
         let version: u32 = from.noted("mge.version")?;
         if version != VERSION {
-            bail!("version {version} of the trained tables, this program reads {VERSION}: train it again");
+            bail!(
+                File,
+                "version {version} of the trained tables, this program reads {VERSION}: train it again"
+            );
         }
         let mut parent = Model::from_tensors(from)?;
         parent.provenance = from.noted("twin.provenance")?;
@@ -176,7 +179,7 @@ impl RecurrentModel {
             rates: gate_of(&text("mge.rates")?)?,
         };
         if shape.rates == Gate::Both {
-            bail!("the rates belong to one chain, not to both");
+            bail!(File, "the rates belong to one chain, not to both");
         }
         let mut parameters = Parameters::zeros(&shape);
         for group in GROUPS {
@@ -192,6 +195,7 @@ impl RecurrentModel {
             };
             if matrix.dim() != (rows, columns) {
                 bail!(
+                    File,
                     "tensor {name} has shape {:?}, expected {:?}",
                     matrix.dim(),
                     (rows, columns)
@@ -216,7 +220,7 @@ impl RecurrentModel {
         ];
         for (name, have, want) in sizes {
             if have != want {
-                bail!("tensor {name} has {have} numbers, expected {want}");
+                bail!(File, "tensor {name} has {have} numbers, expected {want}");
             }
         }
         if model
@@ -225,18 +229,26 @@ impl RecurrentModel {
             .as_ref()
             .is_some_and(|m| m.size() != shape.outputs)
         {
-            bail!("the mouth has another number of eigenmouths than the model speaks");
+            bail!(
+                File,
+                "the mouth has another number of eigenmouths than the model speaks"
+            );
         }
         Ok(model)
     }
 }
 
 /// The step over the phone loop is that of coupled chains over phones and visemes.
+///
+/// # Errors
+///
+/// [`Error::Choice`]: the model has other chains.
 pub fn check_parent(parent: &Model) -> Result<()> {
     let (_, classes, _) = parent.transition.dim();
     let states = parent.visual.mean.dim().0;
     if classes != N_TRANSITION_CLASSES || states != VISUAL {
         bail!(
+            Choice,
             "training starts from a ph-vi-chmm ({N_TRANSITION_CLASSES} transition classes, {VISUAL} visual states), this model has \
              {classes} and {states}"
         );
@@ -252,7 +264,7 @@ fn numbers<T: std::str::FromStr>(text: &str) -> Result<Vec<T>> {
     text.split_whitespace()
         .map(|word| {
             word.parse()
-                .map_err(|_| anyhow::anyhow!("{word:?} in {text:?} is no number of the right kind"))
+                .map_err(|_| Error::File(format!("{word:?} in {text:?} is no number of the right kind")))
         })
         .collect()
 }
@@ -269,7 +281,7 @@ fn feedback_of(name: &str) -> Result<Feedback> {
     [Feedback::None, Feedback::Output, Feedback::Memory]
         .into_iter()
         .find(|f| feedback_name(*f) == name)
-        .with_context(|| format!("unknown feedback {name:?}"))
+        .ok_or_else(|| Error::File(format!("unknown feedback {name:?}")))
 }
 
 fn gate_name(gate: Gate) -> &'static str {
@@ -284,5 +296,5 @@ fn gate_of(name: &str) -> Result<Gate> {
     [Gate::Audio, Gate::Visual, Gate::Both]
         .into_iter()
         .find(|g| gate_name(*g) == name)
-        .with_context(|| format!("unknown chain {name:?}"))
+        .ok_or_else(|| Error::File(format!("unknown chain {name:?}")))
 }
