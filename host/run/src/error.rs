@@ -156,8 +156,9 @@ macro_rules! bail {
 /// Returns an error of a variant that holds a message unless a condition holds.
 macro_rules! ensure {
     ($holds:expr, $type:ident::$variant:ident, $($message:tt)+) => {
-        if !$holds {
-            $crate::error::bail!($type::$variant, $($message)+);
+        match $holds {
+            true => {}
+            false => $crate::error::bail!($type::$variant, $($message)+),
         }
     };
 }
