@@ -10,6 +10,7 @@
 //! One thread, the [`driver`], owns the device; readers, the sound's clock and clients hand it what happens over one queue, so that nothing here
 //! is shared but the [`hub`], from which every watcher takes its own copy. A watcher that is too slow loses its place, never the device's time.
 #![deny(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod address;
 pub mod clock;

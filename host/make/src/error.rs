@@ -34,7 +34,12 @@ pub enum Error {
     Numbers(String),
     /// What was being done, or what it was done to, when `source` happened.
     #[error("{what}")]
-    Context { what: String, source: Cause },
+    Context {
+        /// What was being done.
+        what: String,
+        /// What happened.
+        source: Cause,
+    },
     /// An error of a library below, in its own words.
     #[error(transparent)]
     Other(Cause),

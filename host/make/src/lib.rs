@@ -21,6 +21,7 @@
 //! What runs the models is [`lipstream`], one layer below; the program `lipstream` is one above.
 // Not `forbid`: ndarray's `s!` brings an `allow` of its own.
 #![deny(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod align;
 pub mod corpus;

@@ -10,16 +10,36 @@ use crate::Cause;
 pub enum FileError {
     /// A folder that is missing cannot be made.
     #[error("cannot make folder {}", folder.display())]
-    Folder { folder: PathBuf, source: io::Error },
+    Folder {
+        /// Which folder.
+        folder: PathBuf,
+        /// What happened.
+        source: io::Error,
+    },
     /// Nothing can be written beside what is to be written.
     #[error("cannot write in {}", folder.display())]
-    Aside { folder: PathBuf, source: io::Error },
+    Aside {
+        /// Which folder.
+        folder: PathBuf,
+        /// What happened.
+        source: io::Error,
+    },
     /// A file cannot be written: what the disk says, or whoever writes what is in it.
     #[error("cannot write {}", path.display())]
-    Write { path: PathBuf, source: Cause },
+    Write {
+        /// Which file.
+        path: PathBuf,
+        /// What happened.
+        source: Cause,
+    },
     /// A file cannot be read.
     #[error("cannot read {}", path.display())]
-    Read { path: PathBuf, source: io::Error },
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// What happened.
+        source: io::Error,
+    },
 }
 
 impl FileError {

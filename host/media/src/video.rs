@@ -27,7 +27,9 @@ pub enum VideoError {
     /// A program that reads video is there and does not start.
     #[error("cannot start `{program}`")]
     NotStarted {
+        /// Its name.
         program: &'static str,
+        /// What happened.
         source: io::Error,
     },
     /// There is no such file.
@@ -44,7 +46,12 @@ pub enum VideoError {
     Unsuitable(String),
     /// What was being done, or what it was done to, when `source` happened.
     #[error("{what}")]
-    Context { what: String, source: Cause },
+    Context {
+        /// What was being done.
+        what: String,
+        /// What happened.
+        source: Cause,
+    },
     /// A pipe broke.
     #[error(transparent)]
     Io(#[from] io::Error),

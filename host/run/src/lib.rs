@@ -30,6 +30,7 @@
 //! Imports point down only.
 // Not `forbid`: ndarray's `s!` brings an `allow` of its own.
 #![deny(unsafe_code)]
+#![warn(missing_docs)]
 
 pub mod cues;
 pub mod engine;

@@ -3,7 +3,8 @@
 //! GRID's clips share one timing (silence, six words, silence), which a model can learn by heart from the beginning of a
 //! clip. The start is a random sample; the same frames of the same clip heard from its beginning stand beside it. So that both
 //! fall on the same frames, the warm run leaves out the clip's first samples, less than one hop.
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
+use lipstream::time;
+use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
 use ndarray::{Array2, ArrayView2, s};
 use rand::RngExt;
 use serde::Serialize;
@@ -59,7 +60,7 @@ pub struct Start<'a> {
 
 /// Sample at which the stream of clip `id` starts; `None` for a clip that is too short.
 fn start(samples: usize, id: &str, seed: u64) -> Option<usize> {
-    let left = FRAME_SAMPLES + (LEAST_FRAMES - 1) * HOP_SAMPLES;
+    let left = time::samples_covered(LEAST_FRAMES);
     let latest = samples.checked_sub(left).filter(|latest| *latest > 0)?;
     Some(generator(seed, id, "cold start").random_range(FROM.min(latest)..=latest))
 }
@@ -68,7 +69,7 @@ fn start(samples: usize, id: &str, seed: u64) -> Option<usize> {
 fn mouth_from(visual: ArrayView2<f32>, video_hz: f32, first: usize, frames: usize) -> Array2<f32> {
     let (n, d) = visual.dim();
     Array2::from_shape_fn((frames, d), |(t, i)| {
-        let sample = (first + t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f32;
+        let sample = (first + time::frame_sample(t)) as f32;
         let place = (sample / SAMPLE_RATE_HZ as f32 * video_hz - 0.5).clamp(0.0, (n - 1) as f32);
         let before = place.floor() as usize;
         let share = place - before as f32;

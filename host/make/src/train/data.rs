@@ -2,7 +2,7 @@
 //! when their turn comes.
 use std::borrow::Cow;
 
-use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, SAMPLE_RATE_HZ};
+use lipstream_core::SAMPLE_RATE_HZ;
 use ndarray::{Array2, ArrayView2, Axis, concatenate};
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -15,10 +15,11 @@ use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::network::PhoneNetwork;
 use lipstream::phones::Phone;
 use lipstream::progress::Progress;
+use lipstream::time;
 
 /// Centre of audio frame t in seconds.
 pub fn frame_time(t: usize) -> f32 {
-    (t * HOP_SAMPLES + FRAME_SAMPLES / 2) as f32 / SAMPLE_RATE_HZ as f32
+    time::frame_sample(t) as f32 / SAMPLE_RATE_HZ as f32
 }
 
 /// Video frames at the audio's rate, `[frames, D]`: linear between the middles of the exposures, edges held.

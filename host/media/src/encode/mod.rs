@@ -15,10 +15,20 @@ pub enum EncodeError {
     Video(String),
     /// The sides of a picture are larger than the file's header can say.
     #[error("pictures of {width}×{height} do not fit in an MP4 file")]
-    Size { width: usize, height: usize },
+    Size {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+    },
     /// A picture, counted from 0, could not be encoded.
     #[error("cannot encode picture {picture}: {said}")]
-    Picture { picture: usize, said: String },
+    Picture {
+        /// Its number, counted from 1.
+        picture: usize,
+        /// Its last line.
+        said: String,
+    },
     /// Of a picture, counted from 0, the encoder made nothing.
     #[error("picture {0} was not encoded")]
     NothingOf(usize),

@@ -36,20 +36,33 @@ pub enum SinkError {
     Endless(#[source] io::Error),
     /// ffmpeg gave up; `said` is its last line.
     #[error("ffmpeg cannot write {}: {said}", path.display())]
-    Ffmpeg { path: PathBuf, said: String },
+    Ffmpeg {
+        /// Which file.
+        path: PathBuf,
+        /// Its last line.
+        said: String,
+    },
     /// There is a folder already, whose pictures would mix with the new ones.
     #[error("{} exists: name a folder that does not", .0.display())]
     Exists(PathBuf),
     /// Picture `picture`, counted from 1, cannot be written.
     #[error("cannot write picture {picture} of {}", folder.display())]
     Picture {
+        /// Its number, counted from 1.
         picture: usize,
+        /// Which folder.
         folder: PathBuf,
+        /// What happened.
         source: Cause,
     },
     /// The sides of a picture are larger than the format can say.
     #[error("pictures of {width}×{height} are too large")]
-    Size { width: usize, height: usize },
+    Size {
+        /// Width in pixels.
+        width: usize,
+        /// Height in pixels.
+        height: usize,
+    },
     /// The film cannot be encoded.
     #[error(transparent)]
     Encode(#[from] EncodeError),

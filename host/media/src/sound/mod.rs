@@ -30,7 +30,12 @@ use crate::files::{self, FileError};
 pub enum SoundError {
     /// The file that holds the sound: `source` says what is wrong with it.
     #[error("cannot read {name} as sound")]
-    In { name: String, source: Box<SoundError> },
+    In {
+        /// What messages call it.
+        name: String,
+        /// What happened.
+        source: Box<SoundError>,
+    },
     /// The file cannot be read or written at all.
     #[error(transparent)]
     File(#[from] FileError),
@@ -48,7 +53,10 @@ pub enum SoundError {
     Unsupported(String),
     /// Its rate is none that is read.
     #[error("its rate is {rate_hz} Hz; from {} to {} Hz can be read", RATES_HZ.start(), RATES_HZ.end())]
-    Rate { rate_hz: u32 },
+    Rate {
+        /// Samples a second.
+        rate_hz: u32,
+    },
     /// It is whole, and there is no sound in it.
     #[error("it holds no samples")]
     NoSamples,
@@ -57,7 +65,12 @@ pub enum SoundError {
     Damaged(String),
     /// A decoder or the resampler refuses it: what it was doing, and in its own words why.
     #[error("{what}")]
-    Library { what: String, source: Cause },
+    Library {
+        /// What was being done.
+        what: String,
+        /// What happened.
+        source: Cause,
+    },
     /// The WAV reader or writer refuses it, in its own words.
     #[error(transparent)]
     Wav(#[from] hound::Error),

@@ -43,7 +43,10 @@ pub enum Normalisation {
     /// Nothing: HTK's numbers.
     None,
     /// The causal mean is taken off, starting from this one (the training mean of raw statics over speech).
-    Causal { start_mean: [f32; N_STATIC] },
+    Causal {
+        /// Statics that the mean begins with.
+        start_mean: [f32; N_STATIC],
+    },
 }
 
 /// Decides frame by frame which frames are speech.

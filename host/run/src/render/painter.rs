@@ -1,6 +1,6 @@
 //! One picture: PCA expansion (X&L eq. 16), camera noise (section 6.1), enlargement.
 use ndarray::ArrayView1;
-use rand::{RngExt as _, SeedableRng as _};
+use rand::SeedableRng as _;
 use rand_pcg::Pcg32;
 use resize::Pixel;
 use resize::px::RGB;
@@ -8,6 +8,7 @@ use resize::px::RGB;
 use super::{Scene, Settings};
 use crate::error::{Context as _, Result, bail};
 use crate::mouth::MouthSpace;
+use crate::random::normal;
 
 /// The mouth alone, in pictures of one size.
 pub struct Painter<'a> {
@@ -66,7 +67,7 @@ impl Scene for Painter<'_> {
         let mut image = self.space.expand(weights);
         if self.noise > 0.0 {
             for value in &mut image {
-                *value += self.noise * gaussian(&mut self.random);
+                *value += self.noise * normal(&mut self.random);
             }
         }
         let native: Vec<RGB<f32>> = image
@@ -89,13 +90,6 @@ impl Scene for Painter<'_> {
 
 fn level(value: f32) -> f32 {
     value.clamp(0.0, 255.0)
-}
-
-/// Normal deviate (Box and Muller).
-fn gaussian(random: &mut Pcg32) -> f32 {
-    let u: f32 = 1.0 - random.random::<f32>();
-    let v: f32 = random.random();
-    (-2.0 * u.ln()).sqrt() * (std::f32::consts::TAU * v).cos()
 }
 
 #[cfg(test)]
