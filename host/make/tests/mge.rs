@@ -301,7 +301,7 @@ fn a_file_gives_the_model_back() {
     let mut wrong = model.clone();
     wrong.context_mean.pop();
     wrong.write(&likely).unwrap();
-    let error = format!("{:#}", RecurrentModel::read(&likely).unwrap_err());
+    let error = lipstream::error::chain(&RecurrentModel::read(&likely).unwrap_err());
     assert!(error.contains("mge.context_mean"), "{error}");
 }
 

@@ -186,7 +186,6 @@ fn check_model(path: &Path, id: u32) -> Result<()> {
 
 /// A film of speech, which is read piece by piece: once for its length, once by the sink, and once by the model.
 fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
-    let engine = Engine::open(&args.model, args.engine.into())?;
     // What can be read only once is kept.
     let samples = match args.input.is_file() {
         true => None,
@@ -197,6 +196,7 @@ fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
         None => Soundtrack::File(&args.input),
     };
     let length = sound.samples()?;
+    let engine = Engine::open(&args.model, args.engine.into())?;
     let all = render::picture_count(length, args.fps).max(1);
     let mut session = engine.session(&RunSettings::default())?;
     let mut scene = Painter::new(space, settings)?;
