@@ -2,15 +2,13 @@
 use std::path::Path;
 
 use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
-use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::RecurrentModel;
-use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
-use lipstream::random::fill_normal;
-use lipstream::synthetic::{Sizes, model};
+use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
+use lipstream::synthetic::{self, Sizes, model};
 use lipstream_core::kinds::Kind;
 use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};
 use lipstream_tests::stream::{self, Sound, with_feedback, write};
-use rand::{RngExt, SeedableRng};
+use rand::SeedableRng;
 use rand_pcg::Pcg64;
 
 /// What a model says of the sound, as the vectors hold it.
@@ -26,47 +24,7 @@ fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> V
 fn recurrent(rng: &mut Pcg64) -> RecurrentModel {
     let mut parent = model(&Sizes::small(), 2.0, rng);
     parent.start_mean.fill(0.0);
-    let shape = Shape {
-        phones: parent.phones.len(),
-        context: Context::default(),
-        inputs: 22,
-        memory: 17,
-        outputs: 5,
-        feedback: Feedback::Output,
-        maps: Gate::Both,
-        rates: Gate::Visual,
-    };
-    let mut parameters = Parameters::zeros(&shape);
-    for group in GROUPS {
-        let (mean, deviation) = match group {
-            Group::Projection => (0.0, 0.1),
-            Group::Audio => (0.0, 1.0),
-            // Few states at the beginning: the device lets six of each chain speak.
-            Group::Initial => (0.0, 8.0),
-            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
-            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
-            _ => (0.0, 0.3),
-        };
-        fill_normal(parameters.of_mut(group), mean, deviation, rng);
-    }
-    let transition = parent.transition.iter();
-    parameters
-        .of_mut(Group::Transition)
-        .iter_mut()
-        .zip(transition)
-        .for_each(|(to, from)| *to = *from);
-    RecurrentModel {
-        context_mean: (0..shape.context.size())
-            .map(|_| rng.random_range(-0.5f32..0.5))
-            .collect(),
-        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
-        deviation: (1..=shape.outputs).map(|d| 100.0 / d as f32).collect(),
-        least: 1e-4,
-        validation_amse: None,
-        provenance: "random numbers".to_owned(),
-        parent,
-        parameters,
-    }
+    synthetic::recurrent(parent, 5, Feedback::Output, Gate::Both, Gate::Visual, rng)
 }
 
 pub(crate) fn run(_: &[String]) -> anyhow::Result<()> {

@@ -6,11 +6,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use lipstream::engine::Engine;
+use lipstream::error::chain;
 use lipstream::mouth::MouthSpace;
 use serde_json::json;
 
 use crate::clock::Clock;
-use crate::driver::{Driver, Setup, Source, chain};
+use crate::driver::{Driver, Setup, Source};
 use crate::event::{Command, Event, Level, Notice};
 use crate::feed::Speech;
 use crate::hub::{Hub, Missed};
@@ -58,14 +59,18 @@ pub struct Equipment {
     pub engine: Arc<Engine>,
 }
 
+/// What is attached.
+struct Attached {
+    driver: Driver,
+    obeys: bool,
+}
+
 /// The desk.
 pub struct Desk {
     hub: Arc<Hub>,
     equipment: Equipment,
-    driver: Mutex<Option<Driver>>,
-    obeys: AtomicBool,
+    attached: Mutex<Option<Attached>>,
     tape: Mutex<Option<Tape>>,
-    recordings: Mutex<u32>,
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -78,24 +83,20 @@ impl Desk {
         Self {
             hub,
             equipment,
-            driver: Mutex::new(None),
-            obeys: AtomicBool::new(false),
+            attached: Mutex::new(None),
             tape: Mutex::new(None),
-            recordings: Mutex::new(0),
         }
     }
 
     /// Attaches a source in place of the one before.
     pub fn attach(&self, setup: Setup) {
-        let obeys = match &setup.source {
-            Source::Inside(_) => true,
-            Source::Line(address) => address.obeys(),
-        };
-        let mut driver = lock(&self.driver);
+        let mut attached = lock(&self.attached);
         // The one before ends first.
-        *driver = None;
-        self.obeys.store(obeys, Ordering::Relaxed);
-        *driver = Some(Driver::start(setup));
+        *attached = None;
+        *attached = Some(Attached {
+            obeys: setup.source.obeys(),
+            driver: Driver::start(setup),
+        });
     }
 
     /// Where events go out.
@@ -110,22 +111,22 @@ impl Desk {
 
     /// Whether something is attached.
     pub fn has_source(&self) -> bool {
-        lock(&self.driver).is_some()
+        lock(&self.attached).is_some()
     }
 
     /// Asks the source for something.
     pub fn command(&self, command: Command) {
-        if let Some(driver) = lock(&self.driver).as_ref() {
-            driver.commands().send(command);
+        if let Some(attached) = lock(&self.attached).as_ref() {
+            attached.driver.commands().send(command);
         }
     }
 
     /// What a page may ask for.
     pub fn can(&self) -> Vec<&'static str> {
-        match (self.has_source(), self.obeys.load(Ordering::Relaxed)) {
-            (false, _) => vec!["demo"],
-            (true, true) => vec!["start", "stop", "profile", "record"],
-            (true, false) => vec!["start", "record"],
+        match lock(&self.attached).as_ref() {
+            None => vec!["demo"],
+            Some(attached) if attached.obeys => vec!["start", "stop", "profile", "record"],
+            Some(_) => vec!["start", "record"],
         }
     }
 
@@ -185,17 +186,15 @@ impl Desk {
 
     /// A recording under the next name that is free.
     fn begin_tape(&self) -> Result<Tape, RecordingError> {
-        let mut number = lock(&self.recordings);
-        loop {
-            *number += 1;
-            let name = format!("mouth-{:03}.stream", *number);
-            let path = self.equipment.folder.join(&name);
+        let free = |name: &String| {
+            let path = self.equipment.folder.join(name);
             // The sound beside it must be free too.
-            if path.exists() || path.with_extension("wav").exists() {
-                continue;
-            }
-            return Ok(Tape::begin(&self.hub, name, Recorder::create(&path)?));
-        }
+            !path.exists() && !path.with_extension("wav").exists()
+        };
+        let mut names = (1..).map(|number| format!("mouth-{number:03}.stream"));
+        let name = names.find(free).unwrap_or_default();
+        let recorder = Recorder::create(&self.equipment.folder.join(&name))?;
+        Ok(Tape::begin(&self.hub, name, recorder))
     }
 
     fn notice(&self, level: Level, text: &str) {

@@ -1,27 +1,23 @@
 //! What owns the device: reads it, feeds it, waits for it when it is gone, and tells everyone.
 use std::collections::VecDeque;
-use std::io::{Read, Write};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError, channel, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use lipstream::engine::Engine;
-use lipstream::link::{Link, Losses, greeting};
-use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, Pcm, Profile, Status, ToDevice, ToHost, encode};
+use lipstream::error::chain;
+use lipstream::link::{Link, Losses};
+use lipstream_core::wire::{Frame, Hello, MAX_PCM_SAMPLES, PROTOCOL, Pcm, Profile, Status, ToDevice, ToHost};
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_media::sound::SoundError;
 
 use crate::address::Address;
 use crate::clock::Clock;
+use crate::device::{Device, Said};
 use crate::event::{Announcement, Command, Event, Health, Level, Notice, Sound, Timed};
 use crate::feed::{Feed, Hop, Speech};
 use crate::hub::Hub;
-use crate::inside::{self, Order};
-use crate::port::{self, Port};
-use crate::qemu::Machine;
-use crate::recording::Recording;
 
 /// Time between two tries to open a device that is away.
 const RETRY: Duration = Duration::from_millis(500);
@@ -29,8 +25,6 @@ const RETRY: Duration = Duration::from_millis(500);
 const REPORT: Duration = Duration::from_secs(1);
 /// Frames that fail to come for so long are worth a word.
 const STALL: Duration = Duration::from_secs(2);
-/// Messages to a device that does not take them now: two seconds of sound.
-const BACKLOG: usize = 200;
 /// Hops of sound whose time is remembered: half a minute.
 const REMEMBERED: usize = 3000;
 
@@ -40,6 +34,16 @@ pub enum Source {
     Line(Address),
     /// The device's own code in this program; the engine must be the fixed one.
     Inside(Arc<Engine>),
+}
+
+impl Source {
+    /// Whether it listens to commands.
+    pub fn obeys(&self) -> bool {
+        match self {
+            Source::Line(address) => address.obeys(),
+            Source::Inside(_) => true,
+        }
+    }
 }
 
 /// What a driver is to do.
@@ -80,11 +84,6 @@ impl Driver {
     pub fn commands(&self) -> Commands {
         Commands(self.inputs.clone())
     }
-
-    /// Whether it has come to its end: the source ended, and cannot come back.
-    pub fn has_ended(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
-    }
 }
 
 impl Drop for Driver {
@@ -109,32 +108,11 @@ impl Commands {
 
 /// What happens to a driver. Lines and feeds are counted, so that what an old one still says is not taken for the new one's.
 enum Input {
-    Bytes(u64, Vec<u8>),
-    Message(u64, Box<ToHost>),
-    Closed(u64, Option<String>),
+    Line(u64, Said),
     Hop(u64, Hop, f64),
     SpeechEnded(u64, Option<SoundError>),
     Command(Command),
     Quit,
-}
-
-/// The device at the other end.
-enum Device {
-    Line {
-        /// None where nobody listens.
-        write: Option<SyncSender<Vec<u8>>>,
-        wanted: Arc<AtomicBool>,
-        _machine: Option<Machine>,
-    },
-    Inside(Sender<Order>),
-}
-
-impl Drop for Device {
-    fn drop(&mut self) {
-        if let Device::Line { wanted, .. } = self {
-            wanted.store(false, Ordering::Relaxed);
-        }
-    }
 }
 
 struct Running {
@@ -227,18 +205,16 @@ impl Running {
     /// Takes what happened; false when there is nothing more to wait for.
     fn take(&mut self, input: Input) -> bool {
         match input {
-            Input::Bytes(line, bytes) if line == self.line => self.bytes(&bytes),
-            Input::Message(line, message) if line == self.line => self.message(*message),
-            Input::Closed(line, why) if line == self.line => return self.closed(why),
+            Input::Line(line, said) if line == self.line => match said {
+                Said::Bytes(bytes) => self.bytes(&bytes),
+                Said::Message(message) => self.message(*message),
+                Said::Closed(why) => self.closed(why),
+            },
             Input::Hop(feed, hop, heard_ms) if feed == self.feeds => self.hop(hop, heard_ms),
-            Input::SpeechEnded(feed, error) if feed == self.feeds => return self.speech_ended(error),
+            Input::SpeechEnded(feed, error) if feed == self.feeds => self.speech_ended(error),
             Input::Command(command) => self.obey(command),
             Input::Quit => return false,
-            Input::Bytes(..)
-            | Input::Message(..)
-            | Input::Closed(..)
-            | Input::Hop(..)
-            | Input::SpeechEnded(..) => {}
+            Input::Line(..) | Input::Hop(..) | Input::SpeechEnded(..) => {}
         }
         true
     }
@@ -246,32 +222,32 @@ impl Running {
     /// Opens the line, and begins.
     fn open(&mut self) {
         self.line += 1;
-        self.before = sum(self.before, self.link.losses());
+        self.before = self.before + self.link.losses();
         self.link = Link::new(None);
         self.fresh = true;
         let (line, inputs) = (self.line, self.inputs.clone());
-        let device = match &self.setup.source {
-            Source::Inside(engine) => {
-                let say = move |message| inputs.send(Input::Message(line, Box::new(message))).is_ok();
-                let profile = self.profile.unwrap_or(Profile::Standard);
-                Device::Inside(inside::start(Arc::clone(engine), profile, say))
+        let hear = move |said| inputs.send(Input::Line(line, said)).is_ok();
+        let opened = match &self.setup.source {
+            Source::Inside(engine) => Ok(Device::inside(
+                engine,
+                self.profile.unwrap_or(Profile::Standard),
+                hear,
+            )),
+            Source::Line(address) => Device::open(address, hear),
+        };
+        let device = match opened {
+            Ok(device) => device,
+            Err(why) => {
+                self.away(&why);
+                return;
             }
-            Source::Line(address) => match open_line(address, line, inputs) {
-                Ok(device) => device,
-                Err(why) => {
-                    self.away(&why);
-                    return;
-                }
-            },
         };
         if std::mem::take(&mut self.away_said) {
             self.notice(Level::Info, format!("{} is back", self.name()));
         }
         self.device = Some(device);
         self.last_frame = Instant::now();
-        self.tell(ToDevice::Hello {
-            protocol: lipstream_core::wire::PROTOCOL,
-        });
+        self.tell(ToDevice::Hello { protocol: PROTOCOL });
         if self.setup.speech.is_some() || self.profile.is_some() {
             self.begin();
         }
@@ -334,38 +310,8 @@ impl Running {
 
     /// Says something to the device. What it does not take in time is lost, and shows in its own counts.
     fn tell(&mut self, message: ToDevice) {
-        match &self.device {
-            Some(Device::Inside(orders)) => {
-                let order = match message {
-                    ToDevice::Start => Order::Start,
-                    ToDevice::Stop => Order::Stop,
-                    ToDevice::Profile(profile) => Order::Profile(profile),
-                    ToDevice::Pcm(pcm) => Order::Samples(pcm.samples().collect()),
-                    ToDevice::Hello { .. } => Order::Hello,
-                };
-                let _ = orders.send(order);
-            }
-            Some(Device::Line {
-                write: Some(write), ..
-            }) => {
-                let bytes = match message {
-                    ToDevice::Hello { .. } => greeting(),
-                    message => {
-                        encode(&message, &mut [0; MAX_ENCODED]).map_or_else(|_| Vec::new(), |b| b.to_vec())
-                    }
-                };
-                if let Err(TrySendError::Full(_)) = write.try_send(bytes) {
-                    self.say_once(Level::Warning, "the device does not take what it is sent");
-                }
-            }
-            Some(Device::Line { write: None, .. }) | None => {}
-        }
-    }
-
-    fn obeys(&self) -> bool {
-        match &self.setup.source {
-            Source::Line(address) => address.obeys(),
-            Source::Inside(_) => true,
+        if self.device.as_ref().is_some_and(|device| !device.tell(message)) {
+            self.say_once(Level::Warning, "the device does not take what it is sent");
         }
     }
 
@@ -423,7 +369,6 @@ impl Running {
             hello,
             profile: self.profile,
             sound: self.setup.speech.is_some(),
-            obeys: self.obeys(),
             running: self.running || self.setup.speech.is_none(),
         });
         self.announcement = Some(Arc::clone(&announcement));
@@ -476,7 +421,7 @@ impl Running {
         self.tell(ToDevice::Pcm(Pcm::new(
             sequence,
             &samples,
-            &mut [0; 2 * lipstream_core::wire::MAX_PCM_SAMPLES],
+            &mut [0; 2 * MAX_PCM_SAMPLES],
         )));
         self.setup.hub.send(Event::Sound(Arc::new(Sound {
             sample: first,
@@ -485,26 +430,28 @@ impl Running {
         })));
     }
 
-    fn speech_ended(&mut self, error: Option<SoundError>) -> bool {
+    fn speech_ended(&mut self, error: Option<SoundError>) {
         self.feed = None;
-        if let Some(error) = error {
-            let text = chain(&error);
-            self.notice(Level::Error, text.clone());
-            self.end(&text);
-            return true;
+        match error {
+            Some(error) => {
+                let text = chain(&error);
+                self.notice(Level::Error, text.clone());
+                self.end(&text);
+            }
+            None => {
+                self.ending = true;
+                self.tell(ToDevice::Stop);
+            }
         }
-        self.ending = true;
-        self.tell(ToDevice::Stop);
-        true
     }
 
-    /// The line has broken off; false when it will not come back.
-    fn closed(&mut self, why: Option<String>) -> bool {
+    /// The line has broken off.
+    fn closed(&mut self, why: Option<String>) {
         self.device = None;
         self.feed = None;
         self.feeds += 1;
         let Source::Line(address) = &self.setup.source else {
-            return true;
+            return;
         };
         let name = address.to_string();
         if address.comes_back() {
@@ -512,7 +459,7 @@ impl Running {
             self.retry = Some(Instant::now() + RETRY);
             let why = why.map_or(String::new(), |why| format!(" ({why})"));
             self.notice(Level::Warning, format!("{name} is gone{why}; waiting for it"));
-            return true;
+            return;
         }
         match why {
             Some(why) => {
@@ -521,7 +468,6 @@ impl Running {
             }
             None => self.end(&format!("{name} has ended")),
         }
-        true
     }
 
     fn obey(&mut self, command: Command) {
@@ -557,7 +503,7 @@ impl Running {
         }
         self.setup.hub.send(Event::Status(Health {
             device: self.status,
-            losses: sum(self.before, self.link.losses()),
+            losses: self.before + self.link.losses(),
         }));
     }
 
@@ -579,127 +525,4 @@ impl Running {
     fn end(&self, text: &str) {
         self.setup.hub.send(Event::End(text.into()));
     }
-}
-
-/// Opens a line and starts what reads and writes it.
-fn open_line(address: &Address, line: u64, inputs: Sender<Input>) -> Result<Device, String> {
-    let wanted = Arc::new(AtomicBool::new(true));
-    if let Address::Recording(path) = address {
-        let recording = Recording::open(path).map_err(|e| chain(&e))?;
-        let still = Arc::clone(&wanted);
-        std::thread::spawn(move || replay(recording, line, &inputs, &still));
-        return Ok(Device::Line {
-            write: None,
-            wanted,
-            _machine: None,
-        });
-    }
-    let Port { read, write, machine } = port::open(address).map_err(|e| e.to_string())?;
-    let write = write.map(|write| {
-        let (sender, messages) = sync_channel(BACKLOG);
-        std::thread::spawn(move || write_on(write, &messages));
-        sender
-    });
-    let still = Arc::clone(&wanted);
-    std::thread::spawn(move || read_on(read, line, &inputs, &still));
-    Ok(Device::Line {
-        write,
-        wanted,
-        _machine: machine,
-    })
-}
-
-/// Hands over bytes as they come.
-fn read_on(mut read: impl Read, line: u64, inputs: &Sender<Input>, wanted: &AtomicBool) {
-    let mut buffer = [0; 4096];
-    while wanted.load(Ordering::Relaxed) {
-        let why = match read.read(&mut buffer) {
-            Ok(0) => None,
-            Ok(count) => {
-                if inputs.send(Input::Bytes(line, buffer[..count].to_vec())).is_err() {
-                    return;
-                }
-                continue;
-            }
-            Err(error) if port::is_patience(&error) => continue,
-            Err(error) => Some(error.to_string()),
-        };
-        let _ = inputs.send(Input::Closed(line, why));
-        return;
-    }
-}
-
-/// Writes messages as they come. That the line has broken shows at its reader.
-fn write_on(mut write: impl Write, messages: &Receiver<Vec<u8>>) {
-    while let Ok(bytes) = messages.recv() {
-        if let Err(error) = write.write_all(&bytes)
-            && !port::is_patience(&error)
-        {
-            return;
-        }
-    }
-}
-
-/// Hands over the messages of a recording, each frame when its sample comes.
-fn replay(mut recording: Recording, line: u64, inputs: &Sender<Input>, wanted: &AtomicBool) {
-    let mut first: Option<(u32, Instant)> = None;
-    loop {
-        let message = match recording.message() {
-            Ok(Some(message)) => message,
-            Ok(None) => {
-                let _ = inputs.send(Input::Closed(line, None));
-                return;
-            }
-            Err(error) => {
-                let _ = inputs.send(Input::Closed(line, Some(chain(&error))));
-                return;
-            }
-        };
-        if let ToHost::Frame(frame) = &message {
-            let (sample, began) = *first.get_or_insert((frame.sample, Instant::now()));
-            let after = frame.sample.wrapping_sub(sample);
-            match after > u32::MAX / 2 {
-                // A run that began anew.
-                true => first = Some((frame.sample, Instant::now())),
-                false => {
-                    let due = began + Duration::from_secs_f64(f64::from(after) / f64::from(SAMPLE_RATE_HZ));
-                    // In pieces, so that one who is not wanted any more ends soon, and a gap of hours in the file is not slept through.
-                    while let Some(left) = due.checked_duration_since(Instant::now()) {
-                        if left > Duration::from_secs(3) {
-                            first = Some((frame.sample, Instant::now()));
-                            break;
-                        }
-                        std::thread::sleep(left.min(Duration::from_millis(100)));
-                        if !wanted.load(Ordering::Relaxed) {
-                            return;
-                        }
-                    }
-                }
-            }
-        }
-        if !wanted.load(Ordering::Relaxed) || inputs.send(Input::Message(line, Box::new(message))).is_err() {
-            return;
-        }
-    }
-}
-
-fn sum(a: Losses, b: Losses) -> Losses {
-    Losses {
-        frames: a.frames + b.frames,
-        damaged: a.damaged + b.damaged,
-        unknown: a.unknown + b.unknown,
-        unread: a.unread + b.unread,
-        restarts: a.restarts + b.restarts,
-    }
-}
-
-/// An error with its causes in one line.
-pub(crate) fn chain(error: &dyn std::error::Error) -> String {
-    let mut out = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        out += &format!(": {error}");
-        cause = error.source();
-    }
-    out
 }

@@ -32,8 +32,6 @@ pub struct Announcement {
     pub profile: Option<Profile>,
     /// Whether [`Event::Sound`] comes.
     pub sound: bool,
-    /// Whether the source listens to commands.
-    pub obeys: bool,
     /// Whether it speaks now.
     pub running: bool,
 }

@@ -15,6 +15,7 @@
 pub mod address;
 pub mod clock;
 pub mod desk;
+mod device;
 pub mod driver;
 pub mod event;
 pub mod feed;

@@ -1,12 +1,11 @@
 //! Ways for bytes, opened.
-use std::fs::File;
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
+use std::path::Path;
 use std::time::Duration;
 
 use serial2::SerialPort;
 
-use crate::address::Address;
 use crate::qemu::Machine;
 
 /// How long a reader waits for bytes before it looks whether it is still wanted.
@@ -23,40 +22,39 @@ pub(crate) struct Port {
     pub(crate) machine: Option<Machine>,
 }
 
-/// Opens a line of bytes. A recording is none: its messages have times of their own.
-pub(crate) fn open(address: &Address) -> io::Result<Port> {
-    match address {
-        Address::Serial { port, baud } => {
-            let mut read = SerialPort::open(port, *baud)?;
-            read.set_read_timeout(PATIENCE)?;
-            // What the system kept for whoever read before is of no use.
-            let _ = read.discard_input_buffer();
-            let write = read.try_clone()?;
-            Ok(Port {
-                read: Box::new(read),
-                write: Some(Box::new(write)),
-                machine: None,
-            })
-        }
-        Address::Tcp(place) => {
-            let found = place.to_socket_addrs()?.next();
-            let place = found.ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, "no such host"))?;
-            of_tcp(TcpStream::connect_timeout(&place, CONNECT)?, None)
-        }
-        Address::Qemu(program) => {
-            let (machine, line) = Machine::start(program)?;
-            of_tcp(line, Some(machine))
-        }
-        Address::Stdin => Ok(Port {
-            read: Box::new(io::stdin()),
-            write: None,
-            machine: None,
-        }),
-        Address::Recording(path) => Ok(Port {
-            read: Box::new(File::open(path)?),
-            write: None,
-            machine: None,
-        }),
+/// A serial port.
+pub(crate) fn serial(port: &Path, baud: u32) -> io::Result<Port> {
+    let mut read = SerialPort::open(port, baud)?;
+    read.set_read_timeout(PATIENCE)?;
+    // What the system kept for whoever read before is of no use.
+    let _ = read.discard_input_buffer();
+    let write = read.try_clone()?;
+    Ok(Port {
+        read: Box::new(read),
+        write: Some(Box::new(write)),
+        machine: None,
+    })
+}
+
+/// A TCP connection to `HOST:PORT`.
+pub(crate) fn tcp(place: &str) -> io::Result<Port> {
+    let found = place.to_socket_addrs()?.next();
+    let place = found.ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, "no such host"))?;
+    of_tcp(TcpStream::connect_timeout(&place, CONNECT)?, None)
+}
+
+/// The firmware's line, in a machine that is started for it.
+pub(crate) fn qemu(program: &Path) -> io::Result<Port> {
+    let (machine, line) = Machine::start(program)?;
+    of_tcp(line, Some(machine))
+}
+
+/// Standard input: nobody listens at its other end.
+pub(crate) fn stdin() -> Port {
+    Port {
+        read: Box::new(io::stdin()),
+        write: None,
+        machine: None,
     }
 }
 

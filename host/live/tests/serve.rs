@@ -24,7 +24,7 @@ use tungstenite::{Message, WebSocket};
 
 fn desk(folder: &Path) -> Arc<Desk> {
     let engine = Arc::new(Engine::shipped());
-    let id = engine.tables().unwrap().head().id();
+    let id = engine.model_id().unwrap();
     let tensors = Tensors::parse(shipped::MODEL, "the shipped model").unwrap();
     Arc::new(Desk::new(
         Arc::new(Hub::default()),

@@ -1,11 +1,10 @@
 //! What can go wrong when models are made, by what a caller can do about it.
 //!
 //! The messages are for people and say what to do; programs look at the variant. `Display` gives one part of an error and
-//! [`source`](StdError::source) its cause; [`chain`] joins them.
-use std::error::Error as StdError;
+//! [`source`](std::error::Error::source) its cause; [`chain`] joins them.
+use lipstream_media::Cause;
 
-/// An error of a library below this one, whichever type it has.
-type Cause = Box<dyn StdError + Send + Sync>;
+pub use lipstream::error::chain;
 
 /// What everything here that can fail returns.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -82,17 +81,6 @@ impl<T, E: Into<Cause>> Context<T> for Result<T, E> {
             source: error.into(),
         })
     }
-}
-
-/// An error with its causes, "what was done: why it failed", as the program prints it.
-pub fn chain(error: &Error) -> String {
-    let mut out = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        out += &format!(": {error}");
-        cause = error.source();
-    }
-    out
 }
 
 /// Returns an error of a variant that holds a message.

@@ -290,6 +290,11 @@ impl Engine {
         }
     }
 
+    /// The id of the device's tables that the fixed engine runs, by which frames name their model.
+    pub fn model_id(&self) -> Option<u32> {
+        self.tables().map(|tables| tables.head().id())
+    }
+
     /// Parameters of a frame.
     pub fn n_parameters(&self) -> usize {
         match &self.0 {

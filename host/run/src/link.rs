@@ -1,4 +1,6 @@
 //! The host's end of the line: bytes from a device in, messages and a count of losses out (`docs/wire.md`).
+use std::ops::Add;
+
 use lipstream_core::wire::{
     Frame, Hello, MAX_ENCODED, PROTOCOL, Receiver, ToDevice, ToHost, WireError, encode,
 };
@@ -41,6 +43,21 @@ pub struct Losses {
     pub unread: u64,
     /// Times that the sequence began anew: `Start`, or a reset of the device.
     pub restarts: u64,
+}
+
+/// What was lost on one line and on the next.
+impl Add for Losses {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            frames: self.frames + other.frames,
+            damaged: self.damaged + other.damaged,
+            unknown: self.unknown + other.unknown,
+            unread: self.unread + other.unread,
+            restarts: self.restarts + other.restarts,
+        }
+    }
 }
 
 /// What a host sends first: which protocol it speaks, and that the device should say who it is. A device answers in whatever

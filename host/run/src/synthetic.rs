@@ -8,8 +8,11 @@ use crate::hmm::mixtures::Mixtures;
 use crate::hmm::system::System;
 use crate::hmm::topology::Topology;
 use crate::kinds::likelihood::{ContextMap, EmSettings, Following, LocalLinear, Model};
+use crate::kinds::recurrent::context::Context;
+use crate::kinds::recurrent::model::RecurrentModel;
+use crate::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use crate::phones::{Phone, VISEMES};
-use crate::random::normal;
+use crate::random::{fill_normal, normal};
 
 /// Sizes of a random model.
 #[derive(Clone, Debug)]
@@ -109,6 +112,58 @@ pub fn model(sizes: &Sizes, spread: f32, rng: &mut impl Rng) -> Model {
         conversion: EmSettings::default(),
         mouth: None,
         provenance: "random numbers".to_owned(),
+    }
+}
+
+/// A recurrent model of random numbers of the sizes that trained ones have, grown from `parent`, whose chains own what the gates say.
+pub fn recurrent(
+    parent: Model,
+    outputs: usize,
+    feedback: Feedback,
+    maps: Gate,
+    rates: Gate,
+    rng: &mut impl Rng,
+) -> RecurrentModel {
+    let shape = Shape {
+        phones: parent.phones.len(),
+        context: Context::default(),
+        inputs: 22,
+        memory: 17,
+        outputs,
+        feedback,
+        maps,
+        rates,
+    };
+    let mut parameters = Parameters::zeros(&shape);
+    for group in GROUPS {
+        let (mean, deviation) = match group {
+            Group::Projection => (0.0, 0.1),
+            Group::Audio => (0.0, 1.0),
+            // Few states at the beginning: the device lets six of each chain speak.
+            Group::Initial => (0.0, 8.0),
+            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
+            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
+            _ => (0.0, 0.3),
+        };
+        fill_normal(parameters.of_mut(group), mean, deviation, rng);
+    }
+    let transition = parent.transition.iter();
+    parameters
+        .of_mut(Group::Transition)
+        .iter_mut()
+        .zip(transition)
+        .for_each(|(to, from)| *to = *from);
+    RecurrentModel {
+        context_mean: (0..shape.context.size())
+            .map(|_| rng.random_range(-0.5f32..0.5))
+            .collect(),
+        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
+        deviation: (0..outputs).map(|d| 100.0 / (d + 1) as f32).collect(),
+        least: 1e-4,
+        validation_amse: None,
+        provenance: "random numbers".to_owned(),
+        parent,
+        parameters,
     }
 }
 

@@ -4,10 +4,8 @@ mod common;
 
 use common::tables::{hear_out, n_sections, nth, seal};
 use lipstream::export::{MgeSettings, export_mge};
-use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::RecurrentModel;
-use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
-use lipstream::random::fill_normal;
+use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Group};
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::kinds::recurrent::{Converter, TOKENS};
 use lipstream_core::logmath::LogProb;
@@ -50,47 +48,7 @@ fn another_kind_of_tables_is_refused_in_words() {
 fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> RecurrentModel {
     let rng = &mut Pcg64::seed_from_u64(seed);
     let parent = synthetic::model(&Sizes::small(), 2.0, rng);
-    let shape = Shape {
-        phones: parent.phones.len(),
-        context: Context::default(),
-        inputs: 22,
-        memory: 17,
-        outputs: OUTPUTS,
-        feedback,
-        maps,
-        rates,
-    };
-    let mut parameters = Parameters::zeros(&shape);
-    for group in GROUPS {
-        let (mean, deviation) = match group {
-            Group::Projection => (0.0, 0.1),
-            Group::Audio => (0.0, 1.0),
-            // Few states at the beginning: the device lets six of each chain speak.
-            Group::Initial => (0.0, 8.0),
-            Group::AudioGain | Group::VisualGain => (0.5, 0.5),
-            Group::AudioRate | Group::VisualRate => (-1.0, 1.5),
-            _ => (0.0, 0.3),
-        };
-        fill_normal(parameters.of_mut(group), mean, deviation, rng);
-    }
-    let transition = parent.transition.iter();
-    parameters
-        .of_mut(Group::Transition)
-        .iter_mut()
-        .zip(transition)
-        .for_each(|(to, from)| *to = *from);
-    RecurrentModel {
-        context_mean: (0..shape.context.size())
-            .map(|_| rng.random_range(-0.5f32..0.5))
-            .collect(),
-        scale: (0..13).map(|_| rng.random_range(0.05f32..0.2)).collect(),
-        deviation: (0..OUTPUTS).map(|d| 100.0 / (d + 1) as f32).collect(),
-        least: 1e-4,
-        validation_amse: None,
-        provenance: "random numbers".to_owned(),
-        parent,
-        parameters,
-    }
+    synthetic::recurrent(parent, OUTPUTS, feedback, maps, rates, rng)
 }
 
 fn tables(model: &RecurrentModel) -> Vec<u8> {

@@ -43,7 +43,7 @@ fn space() -> MouthSpace {
 /// A desk with or without the shipped mouth, and its page.
 fn desk(folder: &Path, with_mouth: bool) -> (Arc<Desk>, Server) {
     let engine = Arc::new(Engine::shipped());
-    let id = engine.tables().unwrap().head().id();
+    let id = engine.model_id().unwrap();
     let mouths = match with_mouth {
         true => vec![Mouth::new(id, &space())],
         false => Vec::new(),
@@ -198,7 +198,7 @@ fn in_a_browser_the_firmware_in_qemu_speaks() {
     assert!(stats["framesReceived"].as_f64().unwrap() > 500.0);
     assert_eq!(
         stats["model"],
-        format!("{:08x}", Engine::shipped().tables().unwrap().head().id())
+        format!("{:08x}", Engine::shipped().model_id().unwrap())
     );
     no_complaints(&browser);
 }

@@ -1,10 +1,10 @@
 //! QEMU's mps2-an386 with lipstream's firmware in it.
 use std::io::{Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use lipstream::link::Link;
 use lipstream_core::wire::{MAX_ENCODED, Pcm, ToDevice, ToHost, encode};
@@ -93,43 +93,19 @@ pub(crate) fn refuses(program: &Path) -> String {
 
 /// A machine whose UART0 is at hand.
 pub(crate) struct Machine {
-    process: Child,
+    _running: lipstream_live::qemu::Machine,
     line: TcpStream,
 }
 
 impl Machine {
     pub(crate) fn boot(program: &Path) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-        let port = listener.local_addr().expect("a port").port();
-        let mut process = qemu(program, &[])
-            .args([
-                "-chardev",
-                &format!("socket,id=line,host=127.0.0.1,port={port},nodelay=on"),
-            ])
-            .args(["-serial", "chardev:line"])
-            .stdout(Stdio::inherit())
-            .spawn()
-            .expect("run qemu-system-arm");
-        listener
-            .set_nonblocking(true)
-            .expect("a listener that does not wait for ever");
-        let began = Instant::now();
-        let line = loop {
-            match listener.accept() {
-                Ok((line, _)) => break line,
-                Err(_) if began.elapsed() < PATIENCE => {
-                    if let Ok(Some(status)) = process.try_wait() {
-                        panic!("QEMU ended: {status}");
-                    }
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                Err(error) => panic!("QEMU does not connect: {error}"),
-            }
-        };
-        line.set_nonblocking(false).expect("a line that waits");
+        let (running, line) = lipstream_live::qemu::Machine::start(program).expect("run qemu-system-arm");
         line.set_read_timeout(Some(PATIENCE)).expect("a limit");
         line.set_write_timeout(Some(PATIENCE)).expect("a limit");
-        Self { process, line }
+        Self {
+            _running: running,
+            line,
+        }
     }
 
     pub(crate) fn send_bytes(&mut self, bytes: &[u8]) {
@@ -162,13 +138,6 @@ impl Machine {
             .expect("the sender")
             .expect("the machine takes bytes");
         messages
-    }
-}
-
-impl Drop for Machine {
-    fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
     }
 }
 

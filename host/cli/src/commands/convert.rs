@@ -10,7 +10,7 @@ use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_live::recording::{Played, Recording};
 
 use super::choices;
-use super::streams::{ending, is_standard, name, open_sound, say, write};
+use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
 
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
@@ -71,7 +71,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         profile: args.profile.map(Into::into),
         settle: args.no_settling.then_some(false),
     };
-    let mut session = engine.session(&with)?;
+    let session = engine.session(&with)?;
     // A sound that is too short is refused before anything is written.
     let mut samples = Vec::new();
     while samples.len() < FRAME_SAMPLES
@@ -86,22 +86,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
             1000 * FRAME_SAMPLES / SAMPLE_RATE_HZ as usize
         );
     }
-    let mut count = samples.len();
+    let mut count = 0;
     write(&args.output, |file| {
         let mut numbers = format.write(file, engine.n_parameters())?;
-        let mut written = Ok(());
-        let mut take = |frame: Frame| {
-            if written.is_ok() {
-                written = numbers.frame(&frame);
-            }
-        };
-        session.push(&samples, &mut take)?;
-        while let Some(piece) = sound.piece()? {
-            session.push(piece, &mut take)?;
-            count += piece.len();
-        }
-        session.finish(&mut take)?;
-        written?;
+        count = hear(session, &samples, &mut sound, |frame| Ok(numbers.frame(frame)?))?;
         Ok(numbers.finish()?)
     })?;
     say(

@@ -4,12 +4,10 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail};
 use lipstream::cues::{self, BlendSet, CueError, Format, Shapes};
 use lipstream::engine::{Engine, RunSettings};
-use lipstream::session::Frame;
 use lipstream::time;
-use lipstream_media::sound::Reader;
 
 use super::choices;
-use super::streams::{ending, file_name, is_standard, name, open_sound, say, write};
+use super::streams::{ending, file_name, hear, is_standard, name, open_sound, say, write};
 
 /// Write mouth shapes over time for animation programs
 #[derive(Debug, clap::Args)]
@@ -46,10 +44,12 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     let mut sound = open_sound(&args.wav)?;
     let engine = Engine::open(&args.model, args.engine.into())?;
+    let session = engine.session(&RunSettings::default())?;
     let what = match format {
         Some(format) => {
             let mut shapes = Shapes::default();
-            let (_, seconds) = hear(&mut sound, &engine, |frame| Ok(shapes.push(frame.visemes)?))?;
+            let samples = hear(session, &[], &mut sound, |frame| Ok(shapes.push(frame.visemes)?))?;
+            let seconds = time::seconds(samples);
             let shapes = shapes
                 .finish(seconds)
                 .with_context(|| format!("{} gives no cues", name(&args.wav)))?;
@@ -58,41 +58,22 @@ pub(crate) fn run(args: Args) -> Result<()> {
             format!("{} mouth shapes, {seconds:.2} s", shapes.len())
         }
         None => {
-            let mut said = (0, 0.0);
+            let mut samples = 0;
             write(&args.output, |file| {
                 let mut rows = BlendSet::from(args.set).write(file)?;
-                said = hear(&mut sound, &engine, |frame| Ok(rows.frame(frame)?))?;
-                if said.0 == 0 {
+                samples = hear(session, &[], &mut sound, |frame| Ok(rows.frame(frame)?))?;
+                if time::frame_count(samples) == 0 {
                     bail!("{} gives no cues: {}", name(&args.wav), CueError::NoFrame);
                 }
                 Ok(rows.finish()?)
             })?;
-            format!("{} rows, {:.2} s", said.0, said.1)
+            format!(
+                "{} rows, {:.2} s",
+                time::frame_count(samples),
+                time::seconds(samples)
+            )
         }
     };
     say(&args.output, &what);
     Ok(())
-}
-
-/// Calls `each` with every frame of a sound; gives their number, and the sound's length in seconds.
-fn hear(
-    sound: &mut Reader,
-    engine: &Engine,
-    mut each: impl FnMut(&Frame) -> Result<()>,
-) -> Result<(usize, f64)> {
-    let mut session = engine.session(&RunSettings::default())?;
-    let (mut frames, mut samples, mut heard) = (0, 0, Ok(()));
-    let mut take = |frame: Frame| {
-        frames += 1;
-        if heard.is_ok() {
-            heard = each(&frame);
-        }
-    };
-    while let Some(piece) = sound.piece()? {
-        samples += piece.len();
-        session.push(piece, &mut take)?;
-    }
-    session.finish(&mut take)?;
-    heard?;
-    Ok((frames, time::seconds(samples)))
 }

@@ -36,8 +36,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let interrupted = sources::interrupted()?;
     let clock = Clock::start();
     let hub = Arc::new(Hub::default());
-    let models = args.source.models()?;
-    let Some(setup) = args.source.setup(&models, &hub, clock)? else {
+    let model = args.source.model()?;
+    let Some(setup) = args.source.setup(&model, &hub, clock)? else {
         bail!("no device is attached: name a source, or give --wav SOUND");
     };
     sources::print_notices(&hub);

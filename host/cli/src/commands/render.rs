@@ -54,10 +54,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
         scale: args.scale,
         noise: args.noise,
     };
-    let space = mouth(&args.model)?;
+    let tensors = Tensors::read(&args.model)?;
+    let space = mouth(&tensors, &args.model)?;
     let (width, height) = settings.size(&space)?;
     let said = if ending(&args.input) == "stream" {
-        of_stream(&args, &space, &settings)?
+        of_stream(&args, &tensors, &space, &settings)?
     } else if ending(&args.input) == "npy" {
         of_parameters(&args, &space, &settings)?
     } else if args.audio.is_some() && ending(&args.input) != "stream" {
@@ -121,12 +122,12 @@ fn of_parameters(args: &Args, space: &MouthSpace, settings: &Settings) -> Result
 }
 
 /// A film of a recorded stream, with the sound beside it if there is one: the mouths that were shown live.
-fn of_stream(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+fn of_stream(args: &Args, tensors: &Tensors, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
     if ending(&args.output) == "html" {
         bail!("a page shows what the model hears: give speech, not a recorded stream");
     }
     let mut recording = Recording::open(&args.input)?;
-    check_model(&args.model, recording.hello().model)?;
+    check_model(tensors, &args.model, recording.hello().model)?;
     let beside = args.input.with_extension("wav");
     let sound = match &args.audio {
         Some(path) => Some(path),
@@ -139,23 +140,14 @@ fn of_stream(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
     };
     let mut scene = Painter::new(space, settings)?;
     let mut sink = sink(&args.output, &render::film(&scene, settings, sound))?;
-    let mut player = Player::new(&mut scene, args.fps);
-    let most = length.map(|length| render::picture_count(length, args.fps));
-    let mut pictures = 0;
-    let mut picture = |rgb: &[u8]| {
-        // The sound may end before the frames do.
-        if most.is_none_or(|most| pictures < most) {
-            sink.picture(rgb)?;
-            pictures += 1;
-        }
-        Ok::<_, anyhow::Error>(())
-    };
+    let mut player = Player::new(&mut scene, args.fps, length);
+    let mut picture = |rgb: &[u8]| Ok::<_, anyhow::Error>(sink.picture(rgb)?);
     let played = recording.play(|parameters, _| player.frame(parameters, &mut picture))?;
     if played.frames == 0 {
         bail!("{} holds no frame", args.input.display());
     }
-    let covered = time::samples_covered(played.frames);
-    player.finish(length.unwrap_or(covered), &mut picture)?;
+    player.finish(&mut picture)?;
+    let pictures = player.pictures();
     sink.finish()?;
     if played.began_anew || played.between > 0 {
         eprintln!("{}{}", convert::told(&played), convert::anew(&played));
@@ -167,14 +159,13 @@ fn of_stream(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
 }
 
 /// A stream can only be drawn with the mouth of the model that it came from.
-fn check_model(path: &Path, id: u32) -> Result<()> {
-    let tensors = Tensors::read(path)?;
-    let Ok(model) = FloatModel::of_tensors(&tensors) else {
+fn check_model(tensors: &Tensors, path: &Path, id: u32) -> Result<()> {
+    let Ok(model) = FloatModel::of_tensors(tensors) else {
         // The mouth.safetensors of a feature folder is no model, and knows of none.
         return Ok(());
     };
     let engine = Engine::fixed(model.export(false)?)?;
-    let ours = engine.tables().map_or(0, |tables| tables.head().id());
+    let ours = engine.model_id().unwrap_or_default();
     if ours != id {
         bail!(
             "the stream is of model {id:08x}, {} is {ours:08x}: draw it with the model that the device runs",
@@ -197,21 +188,16 @@ fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
     };
     let length = sound.samples()?;
     let engine = Engine::open(&args.model, args.engine.into())?;
-    let all = render::picture_count(length, args.fps).max(1);
+    let all = render::length(length, args.fps);
     let mut session = engine.session(&RunSettings::default())?;
     let mut scene = Painter::new(space, settings)?;
     let mut sink = sink(&args.output, &render::film(&scene, settings, Some(sound)))?;
-    let mut player = Player::new(&mut scene, args.fps);
+    let mut player = Player::new(&mut scene, args.fps, Some(length));
     let terminal = Terminal::default();
     let steps = Steps::begin(&terminal, render::PICTURES, all);
-    let mut left = all;
     let mut picture = |rgb: &[u8]| {
-        // The sound may end before the frames do.
-        if left > 0 {
-            sink.picture(rgb)?;
-            left -= 1;
-            steps.made();
-        }
+        sink.picture(rgb)?;
+        steps.made();
         Ok(())
     };
     let mut drawn = anyhow::Ok(());
@@ -223,7 +209,7 @@ fn of_speech(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Dra
     sound.each(|piece| Ok::<_, anyhow::Error>(session.push(piece, &mut take)?))?;
     session.finish(&mut take)?;
     drawn
-        .and_then(|()| player.finish(length, &mut picture))
+        .and_then(|()| player.finish(&mut picture))
         .with_context(|| format!("{} gives no mouth", name(&args.input)))?;
     sink.finish()?;
     Ok(Drawn {
@@ -282,13 +268,12 @@ fn sink(output: &Path, film: &Film) -> Result<Box<dyn Sink>> {
 }
 
 /// The mouth of a model or of a feature folder.
-fn mouth(path: &Path) -> Result<MouthSpace> {
-    let tensors = Tensors::read(path)?;
+fn mouth(tensors: &Tensors, path: &Path) -> Result<MouthSpace> {
     if !tensors.has("mouth.mean") {
         bail!(
             "{} has no mouth: it was trained on plain visual numbers, which cannot be drawn",
             path.display()
         );
     }
-    MouthSpace::load(&tensors).with_context(|| format!("{} is no usable model", path.display()))
+    MouthSpace::load(tensors).with_context(|| format!("{} is no usable model", path.display()))
 }

@@ -55,37 +55,25 @@ impl SourceArgs {
         self.to.iter().any(Target::is_standard)
     }
 
-    /// Models at hand: what runs in this program, and what can be drawn.
-    pub(crate) fn models(&self) -> Result<Models> {
-        let shipped = Arc::new(Engine::shipped());
-        let mut models = Models {
-            mouths: vec![mouth(
-                &Tensors::parse(shipped::MODEL, "the shipped model")?,
-                &shipped,
-            )?],
-            engine: Arc::clone(&shipped),
-            shipped,
+    /// The model that runs in this program, and the file that it came from where that is not the shipped one.
+    pub(crate) fn model(&self) -> Result<Model> {
+        let Some(path) = &self.model else {
+            return Ok(Model {
+                engine: Arc::new(Engine::shipped()),
+                own: None,
+            });
         };
-        if let Some(path) = &self.model {
-            let tensors = Tensors::read(path)?;
-            let unusable = || format!("{} is no usable model", path.display());
-            let engine = Engine::fixed(
-                FloatModel::of_tensors(&tensors)
-                    .and_then(|model| Ok(model.export(false)?))
-                    .with_context(unusable)?,
-            )?;
-            if tensors.has("mouth.mean") {
-                models
-                    .mouths
-                    .push(mouth(&tensors, &engine).with_context(unusable)?);
-            }
-            models.engine = Arc::new(engine);
-        }
-        Ok(models)
+        let tensors = Tensors::read(path)?;
+        let tables = FloatModel::of_tensors(&tensors).and_then(|model| Ok(model.export(false)?));
+        let tables = tables.with_context(|| format!("{} is no usable model", path.display()))?;
+        Ok(Model {
+            engine: Arc::new(Engine::fixed(tables)?),
+            own: Some(tensors),
+        })
     }
 
     /// What to attach; None where nothing was asked for and nothing is plugged in.
-    pub(crate) fn setup(&self, models: &Models, hub: &Arc<Hub>, clock: Clock) -> Result<Option<Setup>> {
+    pub(crate) fn setup(&self, model: &Model, hub: &Arc<Hub>, clock: Clock) -> Result<Option<Setup>> {
         let address = match (&self.source, &self.qemu) {
             (Some(words), _) => Some(words.parse::<Address>()?),
             (None, Some(program)) => Some(Address::Qemu(firmware(program.as_deref())?)),
@@ -111,7 +99,7 @@ impl SourceArgs {
         Ok(Some(Setup {
             source: match address {
                 Some(address) => Source::Line(address),
-                None => Source::Inside(Arc::clone(&models.engine)),
+                None => Source::Inside(Arc::clone(&model.engine)),
             },
             speech: self.wav.clone().map(Speech::File),
             repeat: self.repeat,
@@ -133,16 +121,27 @@ impl SourceArgs {
     }
 }
 
-/// What [`SourceArgs::models`] gives.
-pub(crate) struct Models {
-    pub(crate) engine: Arc<Engine>,
-    pub(crate) shipped: Arc<Engine>,
-    pub(crate) mouths: Vec<Mouth>,
+/// What [`SourceArgs::model`] gives.
+pub(crate) struct Model {
+    engine: Arc<Engine>,
+    own: Option<Tensors>,
+}
+
+impl Model {
+    /// What can be drawn: the mouth of the shipped model, which `shipped` runs, and this one's.
+    pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Vec<Mouth>> {
+        let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+        let mut mouths = vec![mouth(&tensors, shipped)?];
+        if let Some(own) = self.own.as_ref().filter(|own| own.has("mouth.mean")) {
+            mouths.push(mouth(own, &self.engine)?);
+        }
+        Ok(mouths)
+    }
 }
 
 /// The mouth in a model's file, for frames of the model that `engine` runs.
 fn mouth(tensors: &Tensors, engine: &Engine) -> Result<Mouth> {
-    let id = engine.tables().map_or(0, |tables| tables.head().id());
+    let id = engine.model_id().unwrap_or_default();
     Ok(Mouth::new(id, &MouthSpace::load(tensors)?))
 }
 

@@ -3,6 +3,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
+use lipstream::session::{Frame, Session};
 use lipstream_media::files;
 use lipstream_media::sound::Reader;
 
@@ -29,11 +30,29 @@ pub(crate) fn open_sound(path: &Path) -> Result<Reader<'static>> {
 
 /// A whole sound, 16 kHz mono: of a file, or of standard input.
 pub(crate) fn read_sound(path: &Path) -> Result<Vec<i16>> {
-    let mut sound = open_sound(path)?;
-    let mut samples = Vec::new();
+    Ok(open_sound(path)?.rest()?.samples)
+}
+
+/// Calls `each` with every frame of a sound whose first samples, `head`, have been read; gives the number of samples.
+pub(crate) fn hear(
+    mut session: Session,
+    head: &[i16],
+    sound: &mut Reader,
+    mut each: impl FnMut(&Frame) -> Result<()>,
+) -> Result<usize> {
+    let (mut samples, mut heard) = (head.len(), Ok(()));
+    let mut take = |frame: Frame| {
+        if heard.is_ok() {
+            heard = each(&frame);
+        }
+    };
+    session.push(head, &mut take)?;
     while let Some(piece) = sound.piece()? {
-        samples.extend(piece);
+        samples += piece.len();
+        session.push(piece, &mut take)?;
     }
+    session.finish(&mut take)?;
+    heard?;
     Ok(samples)
 }
 

@@ -6,6 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::{Context as _, Result};
+use lipstream::engine::Engine;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::{Desk, Equipment, Tape};
 use lipstream_live::hub::Hub;
@@ -39,8 +40,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let interrupted = sources::interrupted()?;
     let clock = Clock::start();
     let hub = Arc::new(Hub::default());
-    let models = args.source.models()?;
-    let setup = args.source.setup(&models, &hub, clock)?;
+    let shipped = Arc::new(Engine::shipped());
+    let model = args.source.model()?;
+    let mouths = model.mouths(&shipped)?;
+    let setup = args.source.setup(&model, &hub, clock)?;
     sources::print_notices(&hub);
     args.source.start_outputs(&hub)?;
     let tape = match &args.record {
@@ -54,9 +57,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Arc::clone(&hub),
         Equipment {
             clock,
-            mouths: models.mouths,
+            mouths,
             folder: args.folder,
-            engine: models.shipped,
+            engine: shipped,
         },
     ));
     let place = Place {

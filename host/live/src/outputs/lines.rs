@@ -2,12 +2,13 @@
 use std::io::{self, Write};
 
 use lipstream::phones::VISEMES;
+use lipstream::time::seconds;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::wire::Profile;
 use serde_json::{Value, json as object};
 
 use super::Output;
-use crate::event::{Event, Level, Timed};
+use crate::event::{Event, Level};
 
 /// An event as the object that a line of JSON or the WebSocket carries (`docs/live.md`); None for sound, which is no text.
 pub fn json(event: &Event) -> Option<Value> {
@@ -44,7 +45,7 @@ pub fn json(event: &Event) -> Option<Value> {
             "type": "frame",
             "sequence": timed.frame.sequence,
             "sample": timed.sample,
-            "time_s": seconds(timed),
+            "time_s": seconds(timed.sample as usize),
             "parameters": timed.parameters().collect::<Vec<f32>>(),
             "visemes": timed.visemes().collect::<Vec<f32>>(),
         }),
@@ -97,17 +98,19 @@ pub(crate) const WORDS: [&str; VISEMES.len()] = [
     "back of the tongue (k, g)",
 ];
 
+/// The profile that a word stands for.
+pub(crate) fn profile_of(word: &str) -> Option<Profile> {
+    let all = [Profile::Live, Profile::Standard, Profile::Studio];
+    all.into_iter().find(|profile| profile_word(*profile) == word)
+}
+
 /// The word for a profile.
-pub(crate) fn profile_word(profile: Profile) -> &'static str {
+fn profile_word(profile: Profile) -> &'static str {
     match profile {
         Profile::Live => "live",
         Profile::Standard => "standard",
         Profile::Studio => "studio",
     }
-}
-
-fn seconds(timed: &Timed) -> f64 {
-    timed.sample as f64 / f64::from(SAMPLE_RATE_HZ)
 }
 
 /// One object a line.
@@ -160,7 +163,7 @@ impl<W: Write + Send> Output for Csv<W> {
                 }
             }
             Event::Frame(timed) => {
-                write!(self.to, "{:.4},{}", seconds(timed), timed.sample)?;
+                write!(self.to, "{:.4},{}", seconds(timed.sample as usize), timed.sample)?;
                 for value in timed.parameters() {
                     write!(self.to, ",{value}")?;
                 }

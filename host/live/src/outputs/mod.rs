@@ -18,6 +18,7 @@ mod live_link;
 mod vmc;
 
 pub use e131::E131;
+pub(crate) use lines::profile_of;
 pub use lines::{Csv, JsonLines, json};
 pub use live_link::LiveLink;
 pub use vmc::Vmc;

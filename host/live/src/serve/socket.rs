@@ -6,14 +6,15 @@ use axum::extract::ws::{CloseFrame, Message, WebSocket, WebSocketUpgrade};
 use axum::extract::{Query, State};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
-use lipstream_core::wire::Profile;
+use lipstream::time::FRAME_RATE_HZ;
+use lipstream_core::wire::{Hello, PROTOCOL};
 use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
 use super::{Asked, Door};
 use crate::desk::Desk;
-use crate::event::{Command, Event};
+use crate::event::{Announcement, Command, Event};
 use crate::hub::Missed;
 use crate::outputs;
 
@@ -66,7 +67,10 @@ async fn watch(mut socket: WebSocket, desk: Arc<Desk>, form: Form) {
             return;
         }
     }
-    if !desk.has_source() && !send(&mut socket, text(&idle(&desk))).await {
+    if !desk.has_source()
+        && let Some(nobody) = idle(&desk)
+        && !send(&mut socket, text(&nobody)).await
+    {
         return;
     }
     loop {
@@ -157,62 +161,50 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
             }
             Some(Message::Binary(bytes.into()))
         }
-        (Event::Hello(said), _) => {
-            let mut value = outputs::json(event)?;
-            let known = desk.draws(said.hello.model);
-            if let Value::Object(fields) = &mut value {
-                fields.insert("mouth".to_owned(), known.into());
-                fields.extend(about(desk));
-            }
-            Some(text(&value))
-        }
+        (Event::Hello(said), _) => hello(event, desk, desk.draws(said.hello.model))
+            .as_ref()
+            .map(text),
         (Event::Status(_), _) => {
             let mut value = outputs::json(event)?;
-            if let Value::Object(fields) = &mut value {
-                fields.insert("clients".to_owned(), desk.hub().watchers().into());
-                fields.insert("recording".to_owned(), desk.recording().into());
-                fields.insert("running".to_owned(), desk.hub().runs().into());
-            }
+            value["clients"] = desk.hub().watchers().into();
+            value["recording"] = desk.recording().into();
+            value["running"] = desk.hub().runs().into();
             Some(text(&value))
         }
         _ => outputs::json(event).as_ref().map(text),
     }
 }
 
-/// What a page has to know besides what the device says.
-fn about(desk: &Desk) -> serde_json::Map<String, Value> {
-    let value = json!({
-        "can": desk.can(),
-        "buffer_ms": BUFFER_MS,
-        "recording": desk.recording(),
-    });
-    match value {
-        Value::Object(fields) => fields,
-        _ => serde_json::Map::new(),
-    }
+/// Who speaks, and what a page has to know besides what the device says.
+fn hello(said: &Event, desk: &Desk, mouth: bool) -> Option<Value> {
+    let mut value = outputs::json(said)?;
+    value["mouth"] = mouth.into();
+    value["can"] = desk.can().into();
+    value["buffer_ms"] = BUFFER_MS.into();
+    value["recording"] = desk.recording().into();
+    Some(value)
 }
 
 /// What a page hears where nothing is attached.
-fn idle(desk: &Desk) -> Value {
-    let mut value = json!({
-        "type": "hello",
-        "protocol": 1,
-        "source": "nothing is attached",
-        "model": "none",
-        "rate_hz": 100,
-        "sample_rate_hz": lipstream_core::SAMPLE_RATE_HZ,
-        "lag_samples": 0,
-        "groups": [],
-        "visemes": [],
-        "sound": false,
-        "profile": null,
-        "running": false,
-        "mouth": false,
-    });
-    if let Value::Object(fields) = &mut value {
-        fields.extend(about(desk));
-    }
-    value
+fn idle(desk: &Desk) -> Option<Value> {
+    let nobody = Event::Hello(Arc::new(Announcement {
+        source: "nothing is attached".to_owned(),
+        hello: Hello {
+            protocol: PROTOCOL,
+            model: 0,
+            rate_hz: FRAME_RATE_HZ as u16,
+            lag_samples: 0,
+            visemes: 0,
+            groups: Default::default(),
+            scales: Default::default(),
+        },
+        profile: None,
+        sound: false,
+        running: false,
+    }));
+    let mut value = hello(&nobody, desk, false)?;
+    value["model"] = "none".into();
+    Some(value)
 }
 
 /// The head of what goes out as bytes: 32 of them, low byte first.
@@ -247,16 +239,8 @@ enum Words {
     Start,
     Stop,
     Demo,
-    Profile { profile: Which },
+    Profile { profile: String },
     Record { on: bool },
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "lowercase")]
-enum Which {
-    Live,
-    Standard,
-    Studio,
 }
 
 /// Does what a page asks for; words that are none are passed over.
@@ -265,11 +249,7 @@ fn obey(words: &str, desk: &Desk) -> Option<Value> {
         Words::Ping { t } => return Some(json!({ "type": "pong", "t": t, "now_ms": desk.clock().now_ms() })),
         Words::Start => desk.command(Command::Start),
         Words::Stop => desk.command(Command::Stop),
-        Words::Profile { profile } => desk.command(Command::Profile(match profile {
-            Which::Live => Profile::Live,
-            Which::Standard => Profile::Standard,
-            Which::Studio => Profile::Studio,
-        })),
+        Words::Profile { profile } => desk.command(Command::Profile(outputs::profile_of(&profile)?)),
         Words::Record { on } => desk.record(on),
         Words::Demo => desk.demo(),
     }

@@ -31,7 +31,6 @@ pub(crate) fn announcement() -> Arc<Announcement> {
         hello: hello(),
         profile: None,
         sound: false,
-        obeys: true,
         running: true,
     })
 }
@@ -47,10 +46,15 @@ pub(crate) fn frame(hop: u32, viseme: usize) -> Frame {
 }
 
 pub(crate) fn timed(hop: u32, viseme: usize) -> Event {
+    timed_of(announcement(), frame(hop, viseme))
+}
+
+/// A frame as watchers get it.
+pub(crate) fn timed_of(hello: Arc<Announcement>, frame: Frame) -> Event {
     Event::Frame(Arc::new(Timed {
-        frame: frame(hop, viseme),
-        hello: announcement(),
-        sample: u64::from(160 * hop + 200),
+        sample: u64::from(frame.sample),
+        frame,
+        hello,
         arrived_ms: 12.5,
         heard_ms: None,
     }))

@@ -107,17 +107,6 @@ impl SoundEncoder {
     }
 }
 
-/// [`SoundEncoder`] for samples that are all there.
-///
-/// # Errors
-///
-/// As the encoder's.
-pub fn encode(samples: &[i16], rate_hz: u32, out: &mut dyn Write) -> Result<Sound, EncodeError> {
-    let mut encoder = SoundEncoder::new(rate_hz)?;
-    encoder.feed(samples, out)?;
-    encoder.finish(out)
-}
-
 /// ADTS header of one mono 16 kHz AAC-LC unit (ISO/IEC 13818-7).
 pub fn adts_header(payload: usize) -> [u8; 7] {
     let length = payload + 7;
@@ -152,7 +141,9 @@ mod tests {
             })
             .collect();
         let mut units = Vec::new();
-        let sound = encode(&tone, 16_000, &mut units).unwrap();
+        let mut encoder = SoundEncoder::new(16_000).unwrap();
+        encoder.feed(&tone, &mut units).unwrap();
+        let sound = encoder.finish(&mut units).unwrap();
         let covered = sound.sizes.len() as u64 * u64::from(FRAME_SAMPLES);
         assert!(covered >= u64::from(sound.priming) + sound.samples);
 

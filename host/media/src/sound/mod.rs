@@ -245,7 +245,11 @@ impl<'a> Reader<'a> {
     }
 
     /// Everything that is still to come.
-    fn rest(mut self) -> Result<Sound> {
+    ///
+    /// # Errors
+    ///
+    /// As [`Reader::piece`]'s.
+    pub fn rest(mut self) -> Result<Sound> {
         let mut samples = Vec::new();
         while let Some(piece) = self.piece()? {
             samples.extend(piece);

@@ -75,6 +75,11 @@ pub fn picture_count(samples: usize, fps: u32) -> usize {
     (samples as u64 * u64::from(fps)).div_ceil(u64::from(SAMPLE_RATE_HZ)) as usize
 }
 
+/// Pictures of a film with so many samples of sound: one at least.
+pub fn length(samples: usize, fps: u32) -> usize {
+    picture_count(samples, fps).max(1)
+}
+
 /// What draws: parameters of one moment in, a picture out. It does not know where pictures go.
 ///
 /// To add one: a file here with its `Scene`.
@@ -104,12 +109,16 @@ pub struct Player<'a> {
     last: Vec<f32>,
     before: Vec<f32>,
     pictures: usize,
+    /// Length of the sound, where there is one.
+    samples: Option<usize>,
 }
 
 impl<'a> Player<'a> {
-    /// Draws `scene` at `fps` pictures a second.
-    pub fn new(scene: &'a mut dyn Scene, fps: u32) -> Self {
+    /// Draws `scene` at `fps` pictures a second, to the end of a sound of `samples` samples where there is one: it may end before the
+    /// frames do, and after them.
+    pub fn new(scene: &'a mut dyn Scene, fps: u32, samples: Option<usize>) -> Self {
         Self {
+            samples,
             scene,
             fps,
             frames: 0,
@@ -140,10 +149,16 @@ impl<'a> Player<'a> {
         self.last.extend(parameters);
         self.frames += 1;
         // A picture between two frames needs both; one at or before the first needs the first alone.
-        while self.frames > 1 && self.place().floor() as usize + 1 < self.frames {
+        while self.frames > 1 && self.place().floor() as usize + 1 < self.frames && self.goes_on() {
             self.picture(&mut each)?;
         }
         Ok(())
+    }
+
+    /// Whether the sound has not ended before the next picture.
+    fn goes_on(&self) -> bool {
+        self.samples
+            .is_none_or(|samples| self.pictures < length(samples, self.fps))
     }
 
     /// Refuses what the scene cannot draw.
@@ -155,20 +170,17 @@ impl<'a> Player<'a> {
         parameters::check_frame(self.frames, parameters)
     }
 
-    /// The sound has ended: the pictures up to its end, `samples`, in which the mouth rests where the last frame has left it.
+    /// There are no more frames: the pictures up to the end of the sound, in which the mouth rests where the last frame has left it.
     ///
     /// # Errors
     ///
     /// That there was no frame, and what scene and `each` say.
-    pub fn finish<E: From<Error>>(
-        &mut self,
-        samples: usize,
-        mut each: impl FnMut(&[u8]) -> Result<(), E>,
-    ) -> Result<(), E> {
+    pub fn finish<E: From<Error>>(&mut self, mut each: impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
         if self.frames == 0 {
             return Err(Error::from(ParameterError::NoFrame).into());
         }
-        while self.pictures < picture_count(samples, self.fps).max(1) {
+        let samples = self.samples.unwrap_or_else(|| time::samples_covered(self.frames));
+        while self.pictures < length(samples, self.fps) {
             self.picture(&mut each)?;
         }
         Ok(())
@@ -223,24 +235,21 @@ pub fn play<E: From<Error>>(
     progress: &dyn Progress,
 ) -> Result<usize, E> {
     parameters::check(tracks).map_err(Error::from)?;
-    let samples = samples.unwrap_or_else(|| time::samples_covered(tracks.nrows()));
-    let all = picture_count(samples, fps).max(1);
-    let mut player = Player::new(scene, fps);
+    let all = length(
+        samples.unwrap_or_else(|| time::samples_covered(tracks.nrows())),
+        fps,
+    );
+    let mut player = Player::new(scene, fps, samples);
     let steps = Steps::begin(progress, PICTURES, all);
-    let mut done = 0;
     let mut each = |rgb: &[u8]| -> Result<(), E> {
-        // The sound may end before the frames do.
-        if done < all {
-            sink(rgb)?;
-            done += 1;
-            steps.made();
-        }
+        sink(rgb)?;
+        steps.made();
         Ok(())
     };
     for row in tracks.outer_iter() {
         player.frame(&row.to_vec(), &mut each)?;
     }
-    player.finish(samples, &mut each)?;
+    player.finish(&mut each)?;
     Ok(all)
 }
 
