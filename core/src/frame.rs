@@ -2,7 +2,7 @@
 use crate::{FRAME_SAMPLES, HOP_SAMPLES};
 
 /// Most parameters of a frame, all groups together.
-pub const MAX_PARAMETERS: usize = 64;
+pub const MAX_PARAMETERS: usize = 96;
 /// Most groups of a frame.
 pub const MAX_GROUPS: usize = 4;
 /// Visemes of X&L (Xie & Liu 2007, *A coupled HMM approach to video-realistic speech animation*), table 1.

@@ -43,12 +43,20 @@ const MAX_HELLO: usize =
 /// number of weights 1, the weights.
 const MAX_FRAME: usize = 1 + 5 + 5 + 1 + 3 * MAX_PARAMETERS + 1 + N_VISEMES;
 
-/// Longest payload, without its CRC, in bytes: a full `Pcm`, 328. A full `Hello` takes 312 (64 parameters in 4 groups of
-/// the longest names), a full `Frame` 218.
-pub const MAX_PAYLOAD: usize = MAX_PCM;
-const _: () = assert!(MAX_HELLO <= MAX_PAYLOAD && MAX_FRAME <= MAX_PAYLOAD);
-/// Longest frame on the line in bytes: payload 328, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 333.
-pub const MAX_ENCODED: usize = MAX_PAYLOAD + CRC_BYTES + 2 + 1;
+/// Longest payload, without its CRC, in bytes: a full `Hello`, 440 (96 parameters in 4 groups of the longest names). A full `Pcm`
+/// takes 328, a full `Frame` 314.
+pub const MAX_PAYLOAD: usize = MAX_HELLO;
+const _: () = assert!(MAX_PCM <= MAX_PAYLOAD && MAX_FRAME <= MAX_PAYLOAD);
+/// Longest frame on the line in bytes: payload 440, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 445.
+pub const MAX_ENCODED: usize = encoded_size(MAX_PAYLOAD);
+
+/// Bytes on the line of a frame whose payload has `payload` bytes, at most (a frame whose bytes happen to have zeros in the right
+/// places is one byte shorter).
+pub const fn encoded_size(payload: usize) -> usize {
+    let bytes = payload + CRC_BYTES;
+    // COBS: one byte in front, and one for each 254 bytes without a zero.
+    1 + bytes + bytes / 254 + 1
+}
 
 const CRC_BYTES: usize = 2;
 /// CRC-16/IBM-3740 (polynomial 1021, start ffff): check value 29b1.

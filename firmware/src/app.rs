@@ -8,8 +8,10 @@ use lipstream_core::wire::{
 };
 use lipstream_core::{Model, ParameterFrame, Stream, StreamSettings};
 
-/// Parameter frames a second.
-const RATE_HZ: u16 = (SAMPLE_RATE_HZ / HOP_SAMPLES as u32) as u16;
+use crate::pace::Pace;
+
+/// Parameter frames that are made in a second.
+pub(crate) const RATE_HZ: u16 = (SAMPLE_RATE_HZ / HOP_SAMPLES as u32) as u16;
 /// Frames between two rounds of `Hello` and `Status`: a second.
 const ROUND_FRAMES: u32 = RATE_HZ as u32;
 
@@ -17,6 +19,12 @@ const ROUND_FRAMES: u32 = RATE_HZ as u32;
 pub trait Line {
     /// Sends all of `bytes`, one frame; or, when there is no room for it, nothing, and returns false.
     fn send(&mut self, bytes: &[u8]) -> bool;
+
+    /// How many bytes it carries in a second; None where it is never the narrow place, or the device waits for it. A slow one gets fewer
+    /// frames ([`Pace`]).
+    fn bytes_per_second(&self) -> Option<u32> {
+        None
+    }
 }
 
 /// A counter that runs at an even pace and starts again at 0 after 2³² − 1.
@@ -36,6 +44,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
     #[inline(always)]
     pub fn new(model: &'m Model<'m, K>, line: L, clock: C) -> Self {
         let now = clock.ticks();
+        let pace = pace(model, &line);
         Self {
             receiver: Receiver::new(),
             engine: Engine {
@@ -43,7 +52,9 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
                 stream: Stream::new(model, StreamSettings::of(Profile::Standard)),
                 line,
                 clock,
+                pace,
                 running: false,
+                made: 0,
                 sequence: 0,
                 next_pcm: 0,
                 status: Status::default(),
@@ -90,15 +101,23 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
     }
 }
 
+fn pace<'m, K: Kind<'m>>(model: &Model<'m, K>, line: &impl Line) -> Pace {
+    let parameters = model.head().parameter_scales().count();
+    Pace::new(line.bytes_per_second(), parameters, model.own().n_visemes())
+}
+
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
 struct Engine<'m, K: Kind<'m>, L, C> {
     model: &'m Model<'m, K>,
     stream: Stream<'m, K>,
     line: L,
     clock: C,
+    pace: Pace,
     /// Between `Start` and `Stop`.
     running: bool,
-    /// Frames made since `Start`.
+    /// Frames made since `Start`, those that the pace leaves out too.
+    made: u32,
+    /// Frames for the line since `Start`.
     sequence: u32,
     /// Sequence that the next `Pcm` should have.
     next_pcm: u32,
@@ -137,7 +156,9 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
 
     fn start(&mut self) {
         self.stream.reset();
+        self.pace = pace(self.model, &self.line);
         self.running = true;
+        self.made = 0;
         self.sequence = 0;
         self.next_pcm = 0;
         self.status = Status::default();
@@ -202,14 +223,18 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         self.busy_ticks = self.busy_ticks.saturating_add(ticks);
     }
 
-    /// Sends a frame and, once a second, how to read it and how it goes.
+    /// Sends a frame, if it is one for the line, and, once a second, how to read it and how it goes.
     fn give(&mut self, frame: &ParameterFrame) {
-        let message = ToHost::Frame(Frame::new(self.sequence, frame));
-        if !self.say(&message) {
-            self.status.dropped = self.status.dropped.saturating_add(1);
+        if self.made.is_multiple_of(self.pace.every()) {
+            let message = ToHost::Frame(Frame::new(self.sequence, frame));
+            if !self.say(&message) {
+                self.status.dropped = self.status.dropped.saturating_add(1);
+            }
+            self.sequence = self.sequence.wrapping_add(1);
         }
-        self.sequence = self.sequence.wrapping_add(1);
-        if self.sequence.is_multiple_of(ROUND_FRAMES) {
+        self.made = self.made.wrapping_add(1);
+        if self.made.is_multiple_of(ROUND_FRAMES) {
+            self.pace.round();
             self.say_hello();
             self.say_status();
         }
@@ -217,7 +242,12 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
 
     fn say_hello(&mut self) {
         let lag = self.stream.delay_samples().min(usize::from(u16::MAX)) as u16;
-        let hello = Hello::new(self.model.head(), self.model.own().n_visemes(), RATE_HZ, lag);
+        let hello = Hello::new(
+            self.model.head(),
+            self.model.own().n_visemes(),
+            self.pace.rate_hz(),
+            lag,
+        );
         self.say(&ToHost::Hello(hello));
     }
 
@@ -235,7 +265,10 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
     fn say(&mut self, message: &ToHost) -> bool {
         let mut buffer = [0; MAX_ENCODED];
         match encode(message, &mut buffer) {
-            Ok(bytes) => self.line.send(bytes),
+            Ok(bytes) => {
+                self.pace.says(bytes.len());
+                self.line.send(bytes)
+            }
             // Cannot be: MAX_ENCODED is enough for every message.
             Err(_) => false,
         }

@@ -5,5 +5,6 @@
 #![forbid(unsafe_code)]
 
 pub mod app;
+pub mod pace;
 
 pub use app::{App, Clock, Line};

@@ -191,11 +191,11 @@ fn largest_hello() -> Either<'static> {
         groups: names
             .map(|name| Group {
                 name: name.try_into().unwrap(),
-                size: 16,
+                size: 24,
             })
             .into_iter()
             .collect(),
-        scales: (0..64).map(|i| 0.25 + i as f32).collect(),
+        scales: (0..96).map(|i| 0.25 + i as f32).collect(),
     }))
 }
 
@@ -218,7 +218,7 @@ fn parameters(sequence: u32, n: usize, random: &mut Random) -> Either<'static> {
 fn for_messages(mut check: impl FnMut(&Either)) {
     let mut random = Random::new(1);
     check(&largest_hello());
-    for n in [0, 1, 3, 63, 64] {
+    for n in [0, 1, 3, 63, 64, 95, 96] {
         if n > 0 {
             check(&hello(n, n.min(MAX_GROUPS)));
             check(&hello(n, 1));

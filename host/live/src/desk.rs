@@ -8,6 +8,7 @@ use std::time::Duration;
 use lipstream::engine::Engine;
 use lipstream::error::chain;
 use lipstream::mouth::MouthSpace;
+use lipstream::opening::OpeningReader;
 use serde_json::json;
 
 use crate::clock::Clock;
@@ -22,6 +23,7 @@ pub struct Mouth {
     /// The id in the model's tables.
     pub model: u32,
     bytes: Arc<Vec<u8>>,
+    opening: Option<Arc<OpeningReader>>,
 }
 
 impl Mouth {
@@ -43,7 +45,13 @@ impl Mouth {
         Self {
             model,
             bytes: Arc::new(bytes),
+            opening: OpeningReader::of(space).map(Arc::new),
         }
+    }
+
+    /// What reads how open it is, where there are lips in it.
+    pub fn opening(&self) -> Option<&Arc<OpeningReader>> {
+        self.opening.as_ref()
     }
 }
 
@@ -52,7 +60,7 @@ pub struct Equipment {
     /// The host's clock.
     pub clock: Clock,
     /// Mouths of the models that may speak.
-    pub mouths: Vec<Mouth>,
+    pub mouths: Arc<[Mouth]>,
     /// Where recordings go.
     pub folder: PathBuf,
     /// The shipped model, for the demo.
@@ -139,6 +147,7 @@ impl Desk {
             profile: None,
             hub: Arc::clone(&self.hub),
             clock: self.equipment.clock,
+            mouths: Arc::clone(&self.equipment.mouths),
         });
     }
 

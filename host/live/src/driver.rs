@@ -14,6 +14,7 @@ use lipstream_media::sound::SoundError;
 
 use crate::address::Address;
 use crate::clock::Clock;
+use crate::desk::Mouth;
 use crate::device::{Device, Said};
 use crate::event::{Announcement, Command, Event, Health, Level, Notice, Sound, Timed};
 use crate::feed::{Feed, Hop, Speech};
@@ -25,6 +26,9 @@ const RETRY: Duration = Duration::from_millis(500);
 const REPORT: Duration = Duration::from_secs(1);
 /// Frames that fail to come for so long are worth a word.
 const STALL: Duration = Duration::from_secs(2);
+/// Sound that a device may have before it and not answered, in samples: half a second. What it is behind by waits somewhere, in buffers of the
+/// line or of the system, and would be delay for ever.
+const MOST_BEHIND: u64 = SAMPLE_RATE_HZ as u64 / 2;
 /// Hops of sound whose time is remembered: half a minute.
 const REMEMBERED: usize = 3000;
 
@@ -60,6 +64,8 @@ pub struct Setup {
     pub hub: Arc<Hub>,
     /// The host's clock.
     pub clock: Clock,
+    /// Mouths of the models that may speak.
+    pub mouths: Arc<[Mouth]>,
 }
 
 /// A running driver; it ends when this value is dropped.
@@ -288,7 +294,7 @@ impl Running {
         match self.profile {
             Some(profile) => self.tell(ToDevice::Profile(profile)),
             None => self.tell(ToDevice::Start),
-        }
+        };
         let Some(speech) = &self.setup.speech else { return };
         let (feed, inputs) = (self.feeds, self.inputs.clone());
         match speech.open() {
@@ -308,11 +314,13 @@ impl Running {
         }
     }
 
-    /// Says something to the device. What it does not take in time is lost, and shows in its own counts.
-    fn tell(&mut self, message: ToDevice) {
-        if self.device.as_ref().is_some_and(|device| !device.tell(message)) {
+    /// Says something to the device; false where it does not take it in time. That is lost then, and shows in the device's own counts.
+    fn tell(&mut self, message: ToDevice) -> bool {
+        let taken = self.device.as_ref().is_none_or(|device| device.tell(message));
+        if !taken {
             self.say_once(Level::Warning, "the device does not take what it is sent");
         }
+        taken
     }
 
     fn bytes(&mut self, bytes: &[u8]) {
@@ -364,7 +372,9 @@ impl Running {
     fn announce(&mut self, hello: Hello) {
         self.fresh = false;
         self.sample = None;
+        let mouth = self.setup.mouths.iter().find(|mouth| mouth.model == hello.model);
         let announcement = Arc::new(Announcement {
+            opening: mouth.and_then(Mouth::opening).cloned(),
             source: self.name(),
             hello,
             profile: self.profile,
@@ -410,19 +420,38 @@ impl Running {
         (offset < HOP_SAMPLES as u64).then(|| ms + offset as f64 * 1000.0 / f64::from(SAMPLE_RATE_HZ))
     }
 
+    /// Whether the device owes frames for more sound than it should.
+    fn is_behind(&self) -> bool {
+        let lag = self
+            .announcement
+            .as_ref()
+            .map_or(0, |a| u64::from(a.hello.lag_samples));
+        let answered = match self.sample {
+            Some(sample) if !self.fresh => sample + lag,
+            _ => 0,
+        };
+        self.fed > answered + MOST_BEHIND
+    }
+
+    /// A hop of sound to the device. One that it has no time for is left out: the device counts it as an overrun, and its samples and ours go
+    /// on with the next.
     fn hop(&mut self, Hop(samples): Hop, heard_ms: f64) {
-        self.heard.push_back((self.fed, heard_ms));
+        let (sequence, first) = (self.pcm, self.fed);
+        self.pcm = self.pcm.wrapping_add(1);
+        if self.is_behind() {
+            let text = "the device does not keep up with the sound: some of it is left out";
+            self.say_once(Level::Warning, text);
+            return;
+        }
+        let mut bytes = [0; 2 * MAX_PCM_SAMPLES];
+        if !self.tell(ToDevice::Pcm(Pcm::new(sequence, &samples, &mut bytes))) {
+            return;
+        }
+        self.fed += samples.len() as u64;
+        self.heard.push_back((first, heard_ms));
         if self.heard.len() > REMEMBERED {
             self.heard.pop_front();
         }
-        let (sequence, first) = (self.pcm, self.fed);
-        self.pcm = self.pcm.wrapping_add(1);
-        self.fed += samples.len() as u64;
-        self.tell(ToDevice::Pcm(Pcm::new(
-            sequence,
-            &samples,
-            &mut [0; 2 * MAX_PCM_SAMPLES],
-        )));
         self.setup.hub.send(Event::Sound(Arc::new(Sound {
             sample: first,
             samples,

@@ -2,6 +2,7 @@
 use std::sync::Arc;
 
 use lipstream::link::Losses;
+use lipstream::opening::{Opening, OpeningReader};
 use lipstream_core::wire::{Frame, Hello, Profile, Status};
 
 /// Something that happened.
@@ -34,6 +35,8 @@ pub struct Announcement {
     pub sound: bool,
     /// Whether it speaks now.
     pub running: bool,
+    /// What reads how open the mouth is, where the mouth of the device's model is known.
+    pub opening: Option<Arc<OpeningReader>>,
 }
 
 /// A frame, and when it was.
@@ -60,6 +63,12 @@ impl Timed {
             .iter()
             .zip(scales)
             .map(|(value, scale)| f32::from(*value) * scale)
+    }
+
+    /// How open and how wide the mouth is, where the mouth of the device's model is known.
+    pub fn opening(&self) -> Option<Opening> {
+        let parameters: Vec<f32> = self.parameters().collect();
+        Some(self.hello.opening.as_ref()?.read(&parameters))
     }
 
     /// The viseme weights, 0 to 1; none where the model has none.

@@ -1,7 +1,10 @@
-//! Devices on a line that is not as it should be: a TCP connection is the line, and this test is the device.
+//! Devices on a line that is not as it should be: a pseudo-terminal is the serial line, or a TCP connection where there are none, and this test
+//! is the device.
 mod common;
+#[cfg(unix)]
+mod terminal;
 
-use std::io::{Read as _, Write as _};
+use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,31 +18,63 @@ use lipstream_live::event::{Command, Event};
 use lipstream_live::feed::Speech;
 use lipstream_live::hub::{Hub, Watch};
 
+/// The device's end of a line that can be pulled out and plugged in again.
+trait Socket {
+    /// Where the host finds it.
+    fn address(&self) -> Address;
+
+    /// Waits for the host.
+    fn plug(&mut self) -> Box<dyn Plug>;
+}
+
+/// Both ways of a line that is plugged in; dropped, it is pulled out.
+trait Plug: Read + Write {}
+
+impl Plug for TcpStream {}
+
+impl Socket for TcpListener {
+    fn address(&self) -> Address {
+        Address::Tcp(self.local_addr().unwrap().to_string())
+    }
+
+    fn plug(&mut self) -> Box<dyn Plug> {
+        let (line, _) = self.accept().unwrap();
+        line.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        Box::new(line)
+    }
+}
+
 /// A device that is this test, and the driver that has come to it.
 struct Bench {
-    listener: TcpListener,
-    line: TcpStream,
+    socket: Box<dyn Socket>,
+    line: Option<Box<dyn Plug>>,
     driver: Driver,
     watch: Watch,
 }
 
 fn bench(speech: Option<Speech>) -> Bench {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    #[cfg(unix)]
+    let socket = Box::new(terminal::Terminal::new());
+    #[cfg(not(unix))]
+    let socket = Box::new(TcpListener::bind("127.0.0.1:0").unwrap());
+    bench_on(socket, speech)
+}
+
+fn bench_on(mut socket: Box<dyn Socket>, speech: Option<Speech>) -> Bench {
     let hub = Arc::new(Hub::default());
     let (_, watch) = hub.watch();
     let driver = Driver::start(Setup {
-        source: Source::Line(Address::Tcp(listener.local_addr().unwrap().to_string())),
+        source: Source::Line(socket.address()),
         speech,
         repeat: false,
         profile: None,
         hub,
         clock: Clock::start(),
+        mouths: Arc::default(),
     });
-    let (line, _) = listener.accept().unwrap();
-    line.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
     Bench {
-        listener,
-        line,
+        line: Some(socket.plug()),
+        socket,
         driver,
         watch,
     }
@@ -47,7 +82,15 @@ fn bench(speech: Option<Speech>) -> Bench {
 
 impl Bench {
     fn say(&mut self, message: &ToHost) {
-        self.line.write_all(&bytes(message)).unwrap();
+        self.say_bytes(&bytes(message));
+    }
+
+    fn say_bytes(&mut self, bytes: &[u8]) {
+        self.line.as_mut().unwrap().write_all(bytes).unwrap();
+    }
+
+    fn hear(&mut self, buffer: &mut [u8]) -> usize {
+        self.line.as_mut().unwrap().read(buffer).unwrap()
     }
 
     fn frames(&mut self, hops: std::ops::Range<u32>) {
@@ -88,7 +131,16 @@ fn samples(events: &[Event]) -> Vec<u64> {
 
 #[test]
 fn exactly_the_damaged_frames_are_lost() {
-    let mut bench = bench(None);
+    only_the_damaged_are_lost(bench(None));
+}
+
+#[test]
+fn exactly_the_damaged_frames_are_lost_over_tcp() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    only_the_damaged_are_lost(bench_on(Box::new(listener), None));
+}
+
+fn only_the_damaged_are_lost(mut bench: Bench) {
     bench.say(&ToHost::Hello(hello()));
     let mut line = Vec::new();
     let whole = |hop: u32| bytes(&ToHost::Frame(frame(hop, 3)));
@@ -119,7 +171,7 @@ fn exactly_the_damaged_frames_are_lost() {
     }
     // Cut anywhere.
     for piece in line.chunks(613) {
-        bench.line.write_all(piece).unwrap();
+        bench.say_bytes(piece);
     }
     let events = bench.until_frame(199);
     let lost = [20u64, 40, 60, 80, 100, 101, 102, 103, 104, 120];
@@ -144,11 +196,8 @@ fn a_device_that_is_pulled_out_comes_back() {
     bench.frames(0..10);
     bench.until_frame(9);
     // In the middle of a frame.
-    bench
-        .line
-        .write_all(&bytes(&ToHost::Frame(frame(10, 0)))[..8])
-        .unwrap();
-    bench.line.shutdown(std::net::Shutdown::Both).unwrap();
+    bench.say_bytes(&bytes(&ToHost::Frame(frame(10, 0)))[..8]);
+    bench.line = None;
     let events = until(&mut bench.watch, |event| notice(event).is_some());
     let text = notice(events.last().unwrap()).unwrap();
     assert!(
@@ -156,7 +205,7 @@ fn a_device_that_is_pulled_out_comes_back() {
         "{text}"
     );
 
-    (bench.line, _) = bench.listener.accept().unwrap();
+    bench.line = Some(bench.socket.plug());
     let events = until(&mut bench.watch, |event| notice(event).is_some());
     assert!(notice(events.last().unwrap()).unwrap().contains("is back"));
     bench.say(&ToHost::Hello(hello()));
@@ -245,7 +294,7 @@ fn speech_is_spoken_to_the_device() {
     let (mut pcm, mut started, mut stopped) = (0u32, 0, false);
     let mut buffer = [0; 4096];
     while !stopped {
-        let count = bench.line.read(&mut buffer).unwrap();
+        let count = bench.hear(&mut buffer);
         assert!(count > 0);
         let mut answers = Vec::new();
         for byte in &buffer[..count] {
@@ -300,10 +349,24 @@ fn a_stall_is_told_and_a_device_that_does_not_read_is_no_hindrance() {
     let mut bench = bench(Some(Speech::Shipped));
     bench.say(&ToHost::Hello(hello()));
     // Nothing is read and nothing is sent: the host says so and goes on.
-    let events = until(&mut bench.watch, |event| {
-        notice(event).is_some_and(|t| t.contains("said nothing"))
+    let mut events = until(&mut bench.watch, |event| {
+        notice(event).is_some_and(|t| t.contains("does not keep up"))
     });
-    assert!(events.iter().filter(|e| matches!(e, Event::Sound(_))).count() > 100);
+    // It is sent half a second of sound and no more, so that it is not behind for ever.
+    let sent = |events: &[Event]| events.iter().filter(|e| matches!(e, Event::Sound(_))).count();
+    assert_eq!(sent(&events), 51);
+    events.extend(until(&mut bench.watch, |event| {
+        notice(event).is_some_and(|t| t.contains("said nothing"))
+    }));
+    assert_eq!(sent(&events), 51);
+    // When it answers again, the next sound is the next for both: times of hearing hold.
+    bench.frames(0..40);
+    let events = until(&mut bench.watch, |event| matches!(event, Event::Sound(_)));
+    let Some(Event::Sound(piece)) = events.last() else {
+        panic!()
+    };
+    assert_eq!(piece.sample, 51 * 160);
+    assert!(piece.heard_ms > 1900.0, "{}", piece.heard_ms);
     bench.driver.commands().send(Command::Stop);
     let Bench { driver, watch, .. } = bench;
     drop(watch);

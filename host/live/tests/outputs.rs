@@ -5,8 +5,9 @@ use std::net::UdpSocket;
 use std::sync::Arc;
 use std::time::Duration;
 
-use common::{announcement, timed};
+use common::{announcement, frame, timed, timed_of};
 use lipstream::cues::ARKIT;
+use lipstream::opening::OpeningReader;
 use lipstream::phones::VISEMES;
 use lipstream_live::event::Event;
 use lipstream_live::hub::Hub;
@@ -165,12 +166,15 @@ fn shows_get_channels() {
         assert_eq!(length(115), packet.len() - 115);
         assert_eq!(packet[117..123], [2, 0xa1, 0, 0, 0, 1]);
         let values = usize::from(u16::from_be_bytes([packet[123], packet[124]]));
-        assert_eq!((values, packet.len()), (1 + 3 + VISEMES.len(), 125 + values));
+        assert_eq!((values, packet.len()), (1 + 3 + VISEMES.len() + 2, 125 + values));
         let channels = &packet[126..];
         assert_eq!(packet[125], 0, "the start code");
         assert!(channels[0] < 30 && channels[2] > 50, "{channels:?}");
         assert_eq!(channels[3 + CLOSED], 255);
-        assert_eq!(channels[3..].iter().filter(|c| **c > 0).count(), 1);
+        let visemes = &channels[3..][..VISEMES.len()];
+        assert_eq!(visemes.iter().filter(|c| **c > 0).count(), 1);
+        // This device's mouth is not known.
+        assert_eq!(channels[3 + VISEMES.len()..], [0, 128]);
     }
 }
 
@@ -207,6 +211,54 @@ fn lines_are_read_back() {
         rows[1],
         "0.0625,1000,2.5,-6,0.000,0.000,0.000,0.000,0.000,0.000,0.000,0.000,0.000,1.000,0.000,0.000,0.000"
     );
+}
+
+/// Where the device's mouth is known, shapes open as far as it does, whatever the visemes say, and gap and width are sent.
+#[test]
+fn a_known_mouth_opens_shapes_as_far_as_it_is_open() {
+    let reader = Arc::new(OpeningReader::shipped().unwrap().unwrap());
+    let mut said = (*announcement()).clone();
+    said.opening = Some(Arc::clone(&reader));
+    said.hello.groups[0].size = 30;
+    said.hello.scales = (0..30).map(|_| 1.0).collect();
+    let said = Arc::new(said);
+    // Along the first eigenmouth, which opens and closes.
+    let mouth = |amount: i16| {
+        let mut frame = frame(1, OPEN);
+        frame.parameters = (0..30).map(|k| if k == 0 { amount } else { 0 }).collect();
+        timed_of(Arc::clone(&said), frame)
+    };
+    let mut seen = Vec::new();
+    for amount in [-3000, -1000, 0, 1000, 3000] {
+        let event = mouth(amount);
+        let Event::Frame(timed) = &event else { panic!() };
+        let opening = timed.opening().unwrap();
+        let (socket, mut output) = receiver(|port| format!("e131://127.0.0.1:{port}/1"));
+        output.event(&event).unwrap();
+        let packet = datagram(&socket);
+        let channels = &packet[126..];
+        assert_eq!(channels[3 + VISEMES.len()], (255.0 * opening.gap).round() as u8);
+        assert_eq!(
+            channels[4 + VISEMES.len()],
+            (127.5 + 127.5 * opening.width).round() as u8
+        );
+        let value = outputs::json(&event).unwrap();
+        assert!((value["gap"].as_f64().unwrap() - f64::from(opening.gap)).abs() < 1e-6);
+        let mut text = Vec::new();
+        let mut rows = Csv::new(&mut text);
+        rows.event(&Event::Hello(Arc::clone(&said))).unwrap();
+        rows.event(&event).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        assert!(text.lines().next().unwrap().ends_with(",gap,width"));
+        let end = format!(",{:.3},{:.3}", opening.gap, opening.width);
+        assert!(text.trim_end().ends_with(&end), "{text}");
+        seen.push((opening.gap, channels[0]));
+    }
+    println!("{seen:?}");
+    // The jaw follows the gap: closed at none, as far as in the widest vowel at most.
+    seen.sort_by(|a, b| a.0.total_cmp(&b.0));
+    assert!(seen.is_sorted_by_key(|(_, jaw)| *jaw));
+    assert!(seen[0].0 < 0.1 && seen[0].1 < 15 && seen[4].0 > 0.9 && seen[4].1 > 120);
 }
 
 /// An output that fails ends with a word, and nobody else is disturbed.

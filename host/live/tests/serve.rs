@@ -30,7 +30,7 @@ fn desk(folder: &Path) -> Arc<Desk> {
         Arc::new(Hub::default()),
         Equipment {
             clock: Clock::start(),
-            mouths: vec![Mouth::new(id, &MouthSpace::load(&tensors).unwrap())],
+            mouths: [Mouth::new(id, &MouthSpace::load(&tensors).unwrap())].into(),
             folder: folder.to_owned(),
             engine,
         },

@@ -1,12 +1,15 @@
-//! The lip gap measured by colour against landmarks of another program, on GRID videos. Needs LIPSTREAM_RESEARCH and
+//! The lip gap and the distance of the corners, measured by colour and read out of parameters, against landmarks of another program, on GRID videos. Needs LIPSTREAM_RESEARCH and
 //! `ffmpeg`.
 use std::collections::HashMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+use lipstream::lips::Lips;
+use lipstream::mouth::MouthSpace;
+use lipstream::opening::OpeningReader;
+use lipstream::tensors::Tensors;
 use lipstream_make::corpus::{self, PrepareSettings};
 use lipstream_make::evaluate::closure::Gaps;
-use lipstream_make::evaluate::gap::Lips;
 use lipstream_make::features::{FeatureFolder, Split, read_mouths};
 use ndarray::{Array4, Axis, s};
 use ndarray_npy::ReadNpyExt;
@@ -34,8 +37,8 @@ fn names(npy: &[u8]) -> Vec<String> {
     npy[header..].chunks(24).map(letters).collect()
 }
 
-/// Gap between the inner lips in pixels of the video for each picture; NaN where there is no face.
-fn landmark_gaps(npz: &Path) -> HashMap<String, Vec<f32>> {
+/// Gap between the inner lips, and distance of their corners, in pixels of the video for each picture; NaN where there is no face.
+fn landmark_openings(npz: &Path) -> HashMap<String, Vec<[f32; 2]>> {
     let points = Array4::<i16>::read_npy(&member(npz, "points_x32.npy")[..]).unwrap();
     // The inner lips are points 20..36: 0 and 7 the corners, 2..5 above and 10..13 below the middle.
     let mean = |lips: ndarray::ArrayView1<i16>| {
@@ -48,10 +51,12 @@ fn landmark_gaps(npz: &Path) -> HashMap<String, Vec<f32>> {
         .into_iter()
         .zip(points.outer_iter())
         .map(|(name, clip)| {
-            let gaps = clip
-                .outer_iter()
-                .map(|face| mean(face.slice(s![30..33, 1])) - mean(face.slice(s![22..25, 1])));
-            (name, gaps.collect())
+            let openings = clip.outer_iter().map(|face| {
+                let gap = mean(face.slice(s![30..33, 1])) - mean(face.slice(s![22..25, 1]));
+                let width = mean(face.slice(s![27..28, 0])) - mean(face.slice(s![20..21, 0]));
+                [gap, width]
+            });
+            (name, openings.collect())
         })
         .collect()
 }
@@ -108,7 +113,7 @@ fn colour_agrees_with_landmarks() {
     };
     corpus::prepare(&settings, &()).unwrap();
     let features = FeatureFolder::open(&settings.out).unwrap();
-    let landmarks = landmark_gaps(&grid.join("landmarks.npz"));
+    let landmarks = landmark_openings(&grid.join("landmarks.npz"));
     let images = |split: Split| -> Vec<(String, Array4<u8>)> {
         let clips = features.split(split);
         clips
@@ -120,16 +125,39 @@ fn colour_agrees_with_landmarks() {
     let lips = Lips::learn(ndarray::concatenate(Axis(0), &views).unwrap().view()).unwrap();
     let gaps = Gaps::learn(&features).unwrap();
 
+    let space = MouthSpace::load(&Tensors::read(&features.mouth_path()).unwrap()).unwrap();
+    let reader = OpeningReader::of(&space).unwrap();
     let (mut measured, mut read) = (Vec::new(), Vec::new());
+    let (mut corners, mut openings) = (Vec::new(), [Vec::new(), Vec::new()]);
     for ((id, images), clip) in images(Split::Test).iter().zip(features.split(Split::Test)) {
         let real = &landmarks[id];
         let pair = |own: Vec<f32>| {
-            let pairs = own.into_iter().zip(real.iter().copied());
+            let pairs = own.into_iter().zip(real.iter().map(|[gap, _]| *gap));
+            pairs.filter(|p| p.1.is_finite()).collect::<Vec<_>>()
+        };
+        let wide = |own: Vec<f32>| {
+            let pairs = own.into_iter().zip(real.iter().map(|[_, width]| *width));
             pairs.filter(|p| p.1.is_finite()).collect::<Vec<_>>()
         };
         measured.extend(pair(lips.gaps(images.view()).unwrap()));
-        read.extend(pair(gaps.read_out(features.visual(clip).unwrap().view())));
+        let weights = features.visual(clip).unwrap();
+        read.extend(pair(gaps.read_out(weights.view())));
+        corners.extend(wide(
+            images.outer_iter().map(|image| lips.corners(image)).collect(),
+        ));
+        let opening = |row: ndarray::ArrayView1<f32>| reader.read(&row.to_vec());
+        openings[0].extend(pair(weights.outer_iter().map(|row| opening(row).gap).collect()));
+        openings[1].extend(wide(weights.outer_iter().map(|row| opening(row).width).collect()));
     }
+    // Closed by the reader: at 0 of its scale, or a twentieth of it.
+    let (precision, recall) = closed(&openings[0], 0.05);
+    let [gap, width] = [&openings[0], &openings[1]].map(|pairs| correlation(pairs));
+    let corners = correlation(&corners);
+    println!(
+        "without images, by the eigenmouths alone: gap {gap:.3}, closed: precision {precision:.3}, recall {recall:.3}"
+    );
+    println!("corners: images {corners:.3}, by the eigenmouths alone {width:.3}");
+    assert!(gap > 0.93 && width > 0.25 && corners > 0.5);
     assert!(measured.len() > 250);
     for (what, pairs, least) in [("images", &measured, 0.94), ("eigenmouth weights", &read, 0.92)] {
         let (r, (precision, recall)) = (correlation(pairs), closed(pairs, lips.closed_below()));

@@ -1,10 +1,10 @@
 //! What the shipped model's mouth does where nobody speaks: after speech, in noise, breath, clicks and hum.
 //! `cargo test -p lipstream-make --test silence -- --nocapture` prints it (docs/models.md).
 use lipstream::engine::stream;
+use lipstream::lips::Lips;
 use lipstream::mouth::MouthSpace;
 use lipstream::tensors::Tensors;
 use lipstream_core::{AnyModel, AnyStream, ParameterFrame, StreamSettings};
-use lipstream_make::evaluate::gap::Lips;
 use lipstream_media::sound;
 use ndarray::{Array2, Array4};
 use rand::{RngExt, SeedableRng};

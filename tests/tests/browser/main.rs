@@ -50,7 +50,7 @@ fn desk(folder: &Path, with_mouth: bool) -> (Arc<Desk>, Server) {
     };
     let equipment = Equipment {
         clock: Clock::start(),
-        mouths,
+        mouths: mouths.into(),
         folder: folder.to_owned(),
         engine,
     };
@@ -71,6 +71,7 @@ fn setup(desk: &Desk, source: Source, speech: Option<PathBuf>) -> Setup {
         profile: Some(Profile::Standard),
         hub: Arc::clone(desk.hub()),
         clock: desk.clock(),
+        mouths: [Mouth::new(Engine::shipped().model_id().unwrap(), &space())].into(),
     }
 }
 
@@ -218,6 +219,7 @@ fn in_a_browser_a_recording_plays_again() {
         profile: Some(Profile::Standard),
         hub: Arc::clone(&hub),
         clock: Clock::start(),
+        mouths: Arc::default(),
     });
     let frames = tape.wait().unwrap();
     drop(driver);

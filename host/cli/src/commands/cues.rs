@@ -1,9 +1,10 @@
 //! `lipstream cues`: mouth shapes over time, for animation programs.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use lipstream::cues::{self, BlendSet, CueError, Format, Shapes};
 use lipstream::engine::{Engine, RunSettings};
+use lipstream::opening::OpeningReader;
 use lipstream::time;
 
 use super::choices;
@@ -32,6 +33,16 @@ pub(crate) struct Args {
     engine: choices::Engine,
 }
 
+/// What reads how open the mouth is: from the model's own mouth, or the shipped one where these are its tables.
+fn opening(model: &Path, engine: &Engine) -> Result<Option<OpeningReader>> {
+    let own = OpeningReader::of_file(model)?;
+    let is_shipped = || engine.model_id().is_some() && engine.model_id() == Engine::shipped().model_id();
+    Ok(match own {
+        None if is_shipped() => OpeningReader::shipped()?,
+        own => own,
+    })
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
     let ending = match &args.format {
         Some(format) => format.to_lowercase(),
@@ -58,9 +69,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
             format!("{} mouth shapes, {seconds:.2} s", shapes.len())
         }
         None => {
+            let opening = opening(&args.model, &engine)?;
             let mut samples = 0;
             write(&args.output, |file| {
-                let mut rows = BlendSet::from(args.set).write(file)?;
+                let mut rows = BlendSet::from(args.set).write(file, opening.clone())?;
                 samples = hear(session, &[], &mut sound, |frame| Ok(rows.frame(frame)?))?;
                 if time::frame_count(samples) == 0 {
                     bail!("{} gives no cues: {}", name(&args.wav), CueError::NoFrame);

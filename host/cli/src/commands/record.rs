@@ -5,6 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
+use lipstream::engine::Engine;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::Tape;
 use lipstream_live::driver::Driver;
@@ -37,7 +38,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let clock = Clock::start();
     let hub = Arc::new(Hub::default());
     let model = args.source.model()?;
-    let Some(setup) = args.source.setup(&model, &hub, clock)? else {
+    let mouths = model.mouths(&Engine::shipped())?;
+    let Some(setup) = args.source.setup(&model, &mouths, &hub, clock)? else {
         bail!("no device is attached: name a source, or give --wav SOUND");
     };
     sources::print_notices(&hub);

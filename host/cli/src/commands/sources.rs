@@ -73,7 +73,13 @@ impl SourceArgs {
     }
 
     /// What to attach; None where nothing was asked for and nothing is plugged in.
-    pub(crate) fn setup(&self, model: &Model, hub: &Arc<Hub>, clock: Clock) -> Result<Option<Setup>> {
+    pub(crate) fn setup(
+        &self,
+        model: &Model,
+        mouths: &Arc<[Mouth]>,
+        hub: &Arc<Hub>,
+        clock: Clock,
+    ) -> Result<Option<Setup>> {
         let address = match (&self.source, &self.qemu) {
             (Some(words), _) => Some(words.parse::<Address>()?),
             (None, Some(program)) => Some(Address::Qemu(firmware(program.as_deref())?)),
@@ -106,6 +112,7 @@ impl SourceArgs {
             profile: self.profile.map(Into::into),
             hub: Arc::clone(hub),
             clock,
+            mouths: Arc::clone(mouths),
         }))
     }
 
@@ -129,13 +136,13 @@ pub(crate) struct Model {
 
 impl Model {
     /// What can be drawn: the mouth of the shipped model, which `shipped` runs, and this one's.
-    pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Vec<Mouth>> {
+    pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Arc<[Mouth]>> {
         let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
         let mut mouths = vec![mouth(&tensors, shipped)?];
         if let Some(own) = self.own.as_ref().filter(|own| own.has("mouth.mean")) {
             mouths.push(mouth(own, &self.engine)?);
         }
-        Ok(mouths)
+        Ok(mouths.into())
     }
 }
 

@@ -43,7 +43,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let shipped = Arc::new(Engine::shipped());
     let model = args.source.model()?;
     let mouths = model.mouths(&shipped)?;
-    let setup = args.source.setup(&model, &hub, clock)?;
+    let setup = args.source.setup(&model, &mouths, &hub, clock)?;
     sources::print_notices(&hub);
     args.source.start_outputs(&hub)?;
     let tape = match &args.record {

@@ -6,9 +6,14 @@
 //! | 2 | how far the lips are puckered |
 //! | 3 | how far they are pressed together |
 //! | 4 to 16 | the 13 visemes in the order of [`lipstream::phones::VISEMES`] |
+//! | 17 | how far the lips are apart, 255 as far as in speech |
+//! | 18 | how far the corners are apart: 0 as near, 255 as far as in speech, 128 on average |
+//!
+//! Channels 17 and 18 stay 0 and 128 where the mouth of the device's model is not known.
 use std::io;
 
 use lipstream::cues::{ARKIT, BlendSet, Blender};
+use lipstream::opening::Opening;
 use lipstream::phones::VISEMES;
 
 use super::{Datagrams, Output};
@@ -17,7 +22,7 @@ use crate::event::Event;
 /// Where receivers listen.
 pub(super) const PORT: u16 = 5568;
 /// Channels sent.
-const CHANNELS: usize = 3 + VISEMES.len();
+const CHANNELS: usize = 3 + VISEMES.len() + 2;
 /// The identity of this kind of sender: one a program, told apart by its name.
 const CID: [u8; 16] = *b"lipstream\0\x40\0\x80\0\0\x01";
 
@@ -44,7 +49,8 @@ impl E131 {
 impl Output for E131 {
     fn event(&mut self, event: &Event) -> io::Result<()> {
         let Event::Frame(timed) = event else { return Ok(()) };
-        let arkit = self.arkit.blend(timed.visemes());
+        let opening = timed.opening();
+        let arkit = self.arkit.blend(timed.visemes(), opening);
         let shape = |name: &str| {
             let weight = ARKIT.iter().position(|n| *n == name).map_or(0.0, |k| arkit[k]);
             (weight * 255.0).round() as u8
@@ -53,6 +59,9 @@ impl Output for E131 {
         channels[..3].copy_from_slice(&[shape("jawOpen"), shape("mouthPucker"), shape("mouthPressLeft")]);
         let visemes = &timed.frame.viseme_weights;
         channels[3..3 + visemes.len()].copy_from_slice(visemes);
+        let Opening { gap, width } = opening.unwrap_or_default();
+        channels[3 + VISEMES.len()] = (255.0 * gap).round() as u8;
+        channels[4 + VISEMES.len()] = (127.5 + 127.5 * width).round() as u8;
         let bytes = packet(self.universe, self.sequence, &channels);
         self.sequence = self.sequence.wrapping_add(1);
         self.to.send(&bytes)

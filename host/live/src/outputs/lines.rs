@@ -48,6 +48,8 @@ pub fn json(event: &Event) -> Option<Value> {
             "time_s": seconds(timed.sample as usize),
             "parameters": timed.parameters().collect::<Vec<f32>>(),
             "visemes": timed.visemes().collect::<Vec<f32>>(),
+            "gap": timed.opening().map(|o| o.gap),
+            "width": timed.opening().map(|o| o.width),
         }),
         Event::Status(health) => object!({
             "type": "status",
@@ -132,10 +134,11 @@ impl<W: Write + Send> Output for JsonLines<W> {
     }
 }
 
-/// A header when a run begins that has other columns, and a row a frame: time, sample, parameters, viseme weights.
+/// A header when a run begins that has other columns, and a row a frame: time, sample, parameters, viseme weights, and the mouth's gap and width
+/// where they can be read.
 pub struct Csv<W> {
     to: W,
-    columns: Option<(usize, usize)>,
+    columns: Option<(usize, usize, bool)>,
 }
 
 impl<W: Write + Send> Csv<W> {
@@ -149,7 +152,8 @@ impl<W: Write + Send> Output for Csv<W> {
     fn event(&mut self, event: &Event) -> io::Result<()> {
         match event {
             Event::Hello(said) => {
-                let columns = (said.hello.scales.len(), usize::from(said.hello.visemes));
+                let visemes = usize::from(said.hello.visemes);
+                let columns = (said.hello.scales.len(), visemes, said.opening.is_some());
                 if self.columns != Some(columns) {
                     self.columns = Some(columns);
                     write!(self.to, "time_s,sample")?;
@@ -158,6 +162,9 @@ impl<W: Write + Send> Output for Csv<W> {
                     }
                     for viseme in VISEMES.iter().take(columns.1) {
                         write!(self.to, ",{viseme}")?;
+                    }
+                    if columns.2 {
+                        write!(self.to, ",gap,width")?;
                     }
                     writeln!(self.to)?;
                 }
@@ -169,6 +176,9 @@ impl<W: Write + Send> Output for Csv<W> {
                 }
                 for weight in timed.visemes() {
                     write!(self.to, ",{weight:.3}")?;
+                }
+                if let Some(opening) = timed.opening() {
+                    write!(self.to, ",{:.3},{:.3}", opening.gap, opening.width)?;
                 }
                 writeln!(self.to)?;
             }

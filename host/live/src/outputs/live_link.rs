@@ -49,7 +49,7 @@ impl Output for LiveLink {
         bytes.extend(i32::from(timed.hello.hello.rate_hz).to_be_bytes());
         bytes.extend(1i32.to_be_bytes());
         bytes.push(VALUES);
-        let mut values = self.arkit.blend(timed.visemes());
+        let mut values = self.arkit.blend(timed.visemes(), timed.opening());
         values.resize(usize::from(VALUES), 0.0);
         for value in values {
             bytes.extend(value.to_be_bytes());

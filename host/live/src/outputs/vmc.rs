@@ -41,8 +41,9 @@ impl Vmc {
 impl Output for Vmc {
     fn event(&mut self, event: &Event) -> io::Result<()> {
         let Event::Frame(timed) = event else { return Ok(()) };
-        let arkit = self.arkit.blend(timed.visemes());
-        let oculus = self.oculus.blend(timed.visemes());
+        let opening = timed.opening();
+        let arkit = self.arkit.blend(timed.visemes(), opening);
+        let oculus = self.oculus.blend(timed.visemes(), opening);
         let mut bundle = Bundle::new();
         for (name, weight) in ARKIT.iter().zip(&arkit) {
             if ["jaw", "mouth", "tongue"]

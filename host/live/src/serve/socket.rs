@@ -201,6 +201,7 @@ fn idle(desk: &Desk) -> Option<Value> {
         profile: None,
         sound: false,
         running: false,
+        opening: None,
     }));
     let mut value = hello(&nobody, desk, false)?;
     value["model"] = "none".into();

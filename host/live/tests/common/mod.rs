@@ -32,6 +32,7 @@ pub(crate) fn announcement() -> Arc<Announcement> {
         profile: None,
         sound: false,
         running: true,
+        opening: None,
     })
 }
 

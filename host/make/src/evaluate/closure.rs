@@ -1,6 +1,6 @@
 //! How well the mouth closes: the gap between the inner lips, of the true mouth and of a predicted one.
 //!
-//! The true gap is measured on the mouth images (`gap`). A prediction is a row of eigenmouth weights; its gap is read out of them
+//! The true gap is measured on the mouth images ([`lipstream::lips`]). A prediction is a row of eigenmouth weights; its gap is read out of them
 //! by ridge regression fitted on the training clips' own weights and gaps, so that every system is judged by the same
 //! read-out and no image has to be drawn. What the read-out itself loses is the first row of the table: the true
 //! weights.
@@ -15,11 +15,11 @@ use ndarray::{Array1, Array2, Array4, ArrayView2, Axis, s};
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::gap::{IMAGES, Lips};
 use super::metrics::Score;
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{Clip, FeatureFolder, Split, read_mouths};
 use crate::train::data;
+use lipstream::lips::{IMAGES, Lips};
 use lipstream::phones::Phone;
 
 /// Training clips that the read-out is fitted on, at most.

@@ -6,7 +6,6 @@ pub mod closure;
 pub mod cold;
 pub mod exchange;
 pub mod figures;
-pub mod gap;
 pub mod look_ahead;
 mod measure;
 pub mod metrics;

@@ -128,7 +128,7 @@ fn xml_escapes_names() {
 
 fn csv(set: BlendSet, weights: &Array2<f32>) -> String {
     let mut text = Vec::new();
-    let mut rows = set.write(&mut text).unwrap();
+    let mut rows = set.write(&mut text, None).unwrap();
     for (index, visemes) in weights.outer_iter().enumerate() {
         let frame = Frame {
             index,

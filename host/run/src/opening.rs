@@ -1,0 +1,234 @@
+//! How far a mouth is open, and how wide it is, from its parameters: what rigs, servos and blend shapes want of a frame beside its
+//! visemes, without drawing it.
+//!
+//! Both are linear in the parameters. They are learnt from the eigenmouths alone: mouths are drawn whose parameters have the deviations
+//! that the model knows, the lips in them are measured ([`crate::lips`]), and a straight line is laid through what was measured. How well that
+//! follows landmarks of real videos is in `docs/live.md`: the gap very well (0.96), the width weakly (0.33).
+use std::path::Path;
+
+use lipstream_core::model::container::MAGIC;
+use lipstream_media::files;
+use ndarray::{Array1, Array2, Array4};
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
+use crate::error::Result;
+use crate::lips::Lips;
+use crate::mouth::MouthSpace;
+use crate::random::normal;
+use crate::shipped;
+use crate::tensors::Tensors;
+
+/// Mouths that are drawn: some for each parameter.
+const MOUTHS: usize = 400;
+/// Penalty on the weights, as a share of the mouths: what is not linear is not to be followed.
+const PENALTY: f64 = 0.02;
+/// A mouth as wide open, as wide or as narrow as it ever is in speech: so many deviations from its mean.
+const FAR: f32 = 2.0;
+
+/// How open and how wide a mouth is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Opening {
+    /// Between the lips: 0 closed, 1 as wide open as this mouth is in speech.
+    pub gap: f32,
+    /// Between the corners: −1 as narrow as this mouth is in speech, 0 its mean, 1 as wide.
+    pub width: f32,
+}
+
+/// A number that is linear in the parameters.
+#[derive(Clone, Debug, PartialEq)]
+struct Line {
+    offset: f32,
+    slopes: Array1<f32>,
+}
+
+impl Line {
+    fn at(&self, parameters: &[f32]) -> f32 {
+        let products = parameters.iter().zip(&self.slopes).map(|(p, s)| p * s);
+        self.offset + products.sum::<f32>()
+    }
+}
+
+/// Reads openings out of parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpeningReader {
+    gap: Line,
+    width: Line,
+}
+
+impl OpeningReader {
+    /// Learns from a mouth; None where nothing in it looks like lips.
+    pub fn of(space: &MouthSpace) -> Option<Self> {
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let size = space.size();
+        // In deviations, so that one penalty is right for all.
+        let drawn = Array2::from_shape_simple_fn((MOUTHS, size), || normal(&mut rng));
+        let mut images = Array4::zeros((MOUTHS, space.height, space.width, 3));
+        for (mut image, row) in images.outer_iter_mut().zip(drawn.outer_iter()) {
+            let weights = &row * &space.deviation;
+            let levels = space.expand(weights.view());
+            for (to, level) in image.iter_mut().zip(&levels) {
+                *to = level.round() as u8; // `as` saturates
+            }
+        }
+        let lips = Lips::learn(images.view())?;
+        let gaps = lips.gaps(images.view())?;
+        let widths: Vec<f32> = images.outer_iter().map(|image| lips.corners(image)).collect();
+        let gap = Fit::of(&drawn, &gaps);
+        let width = Fit::of(&drawn, &widths);
+        let closed = lips.closed_below();
+        let open = gap.mean + FAR * gap.deviation();
+        if open - closed < 1.0 || width.deviation() < 0.1 {
+            return None;
+        }
+        Some(Self {
+            gap: gap.line(&space.deviation, closed, open - closed),
+            width: width.line(&space.deviation, width.mean, FAR * width.deviation()),
+        })
+    }
+
+    /// For the shipped model; None as in [`OpeningReader::of`].
+    ///
+    /// # Errors
+    ///
+    /// None, as long as the shipped model is whole.
+    pub fn shipped() -> Result<Option<Self>> {
+        let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+        Ok(Self::of(&MouthSpace::load(&tensors)?))
+    }
+
+    /// For the model in a file; None where the file has no mouth, as tables have none, and as in [`OpeningReader::of`].
+    ///
+    /// # Errors
+    ///
+    /// That the file cannot be read.
+    pub fn of_file(path: &Path) -> Result<Option<Self>> {
+        let bytes = files::read_bytes(path)?;
+        if bytes.starts_with(&MAGIC) {
+            return Ok(None);
+        }
+        let tensors = Tensors::parse(&bytes, &path.display().to_string())?;
+        match tensors.has("mouth.mean") {
+            true => Ok(Self::of(&MouthSpace::load(&tensors)?)),
+            false => Ok(None),
+        }
+    }
+
+    /// The opening of a frame's parameters `[D]`, in real units; those of other groups behind the mouth's are left alone.
+    pub fn read(&self, parameters: &[f32]) -> Opening {
+        Opening {
+            gap: self.gap.at(parameters).clamp(0.0, 1.0),
+            width: self.width.at(parameters).clamp(-1.0, 1.0),
+        }
+    }
+}
+
+/// A straight line through numbers over parameters in deviations.
+struct Fit {
+    mean: f32,
+    slopes: Array1<f32>,
+}
+
+impl Fit {
+    /// Least squares with a penalty, by conjugate gradients: the matrix is nearly a multiple of one, so that few steps are enough.
+    fn of(drawn: &Array2<f32>, values: &[f32]) -> Self {
+        let x = drawn.mapv(f64::from);
+        let n = values.len() as f64;
+        let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / n;
+        let centred: Array1<f64> = values.iter().map(|v| f64::from(*v) - mean).collect();
+        let times = |v: &Array1<f64>| x.t().dot(&x.dot(v)) + v * (PENALTY * n);
+        let mut slopes = Array1::zeros(x.ncols());
+        let mut rest = x.t().dot(&centred);
+        let mut direction = rest.clone();
+        let mut square = rest.dot(&rest);
+        for _ in 0..30 {
+            if square < 1e-12 {
+                break;
+            }
+            let image = times(&direction);
+            let step = square / direction.dot(&image);
+            slopes.scaled_add(step, &direction);
+            rest.scaled_add(-step, &image);
+            let next = rest.dot(&rest);
+            direction = &rest + &(direction * (next / square));
+            square = next;
+        }
+        Self {
+            mean: mean as f32,
+            slopes: slopes.mapv(|s| s as f32),
+        }
+    }
+
+    /// Deviation of what the line gives.
+    fn deviation(&self) -> f32 {
+        self.slopes.dot(&self.slopes).sqrt()
+    }
+
+    /// The line over parameters in real units, less `zero`, in parts of `one`.
+    fn line(&self, deviation: &Array1<f32>, zero: f32, one: f32) -> Line {
+        let unit = |(slope, deviation): (&f32, &f32)| match *deviation > 0.0 {
+            true => slope / deviation / one,
+            false => 0.0,
+        };
+        Line {
+            offset: (self.mean - zero) / one,
+            slopes: self.slopes.iter().zip(deviation).map(unit).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::drawn::{Pose, draw};
+
+    fn shipped() -> MouthSpace {
+        MouthSpace::load(&Tensors::parse(shipped::MODEL, "the shipped model").unwrap()).unwrap()
+    }
+
+    #[test]
+    fn the_shipped_mouth_opens_and_widens() {
+        let space = shipped();
+        let reader = OpeningReader::of(&space).unwrap();
+        // Its mean mouth is neither shut nor wide open.
+        let mean = reader.read(&vec![0.0; space.size()]);
+        assert!(
+            (0.1..0.7).contains(&mean.gap) && mean.width.abs() < 0.05,
+            "{mean:?}"
+        );
+        // The direction in which the line rises fastest opens the drawn mouth as well.
+        let towards = |line: &Line, amount: f32| -> Vec<f32> {
+            let steep: Array1<f32> = &line.slopes * &space.deviation * &space.deviation;
+            let length = (&steep / &space.deviation).mapv(|v| v * v).sum().sqrt();
+            (steep * (amount / length)).to_vec()
+        };
+        let gaps: Vec<f32> = [-2.0, -1.0, 0.0, 1.0, 2.0]
+            .map(|amount| reader.read(&towards(&reader.gap, amount)).gap)
+            .to_vec();
+        assert!(gaps.is_sorted() && gaps[0] == 0.0 && gaps[4] > 0.95, "{gaps:?}");
+        let widths = [-2.0, 2.0].map(|amount| reader.read(&towards(&reader.width, amount)).width);
+        assert!(widths[0] < -0.95 && widths[1] > 0.95, "{widths:?}");
+    }
+
+    #[test]
+    fn drawn_mouths_are_read_as_they_were_drawn() {
+        let space = crate::render::drawn::space(6);
+        let reader = OpeningReader::of(&space).unwrap();
+        let read = |pose| reader.read(&space.project(draw(pose).view()).to_vec());
+        let pose = |open, round, spread| Pose { open, round, spread };
+        assert!(read(pose(0.0, 0.0, 0.0)).gap < 0.15);
+        assert!(read(pose(1.0, 0.0, 0.0)).gap > 0.7);
+        let half = read(pose(0.5, 0.0, 0.0)).gap;
+        assert!((0.25..0.75).contains(&half), "{half}");
+        let (narrow, wide) = (read(pose(0.3, 1.0, 0.0)).width, read(pose(0.3, 0.0, 1.0)).width);
+        assert!(narrow < -0.2 && wide > 0.15, "{narrow} {wide}");
+    }
+
+    #[test]
+    fn a_wall_has_no_opening() {
+        let mut space = shipped();
+        space.mean.fill(128.0);
+        space.basis.fill(0.0);
+        assert_eq!(OpeningReader::of(&space), None);
+    }
+}
