@@ -10,14 +10,13 @@ use lipstream::error::chain;
 use lipstream::link::{Link, Losses};
 use lipstream_core::wire::{Frame, Hello, MAX_PCM_SAMPLES, PROTOCOL, Pcm, Profile, Status, ToDevice, ToHost};
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
-use lipstream_media::sound::SoundError;
 
 use crate::address::Address;
 use crate::clock::Clock;
 use crate::desk::Mouth;
 use crate::device::{Device, Said};
 use crate::event::{Announcement, Command, Event, Health, Level, Notice, Sound, Timed};
-use crate::feed::{Feed, Hop, Speech};
+use crate::feed::{Feed, Hop, Speech, SpeechError};
 use crate::hub::Hub;
 
 /// Time between two tries to open a device that is away.
@@ -116,7 +115,7 @@ impl Commands {
 enum Input {
     Line(u64, Said),
     Hop(u64, Hop, f64),
-    SpeechEnded(u64, Option<SoundError>),
+    SpeechEnded(u64, Option<SpeechError>),
     Command(Command),
     Quit,
 }
@@ -132,6 +131,8 @@ struct Running {
     /// When a device that is away is looked for again.
     retry: Option<Instant>,
     away_said: bool,
+    /// When a microphone that broke off is opened again.
+    again: Option<Instant>,
     profile: Option<Profile>,
     announcement: Option<Arc<Announcement>>,
     /// The next `Hello` begins a new run.
@@ -166,6 +167,7 @@ impl Running {
             line: 0,
             retry: Some(Instant::now()),
             away_said: false,
+            again: None,
             announcement: None,
             fresh: true,
             running: false,
@@ -192,11 +194,17 @@ impl Running {
                 self.retry = None;
                 self.open();
             }
+            if self.again.is_some_and(|at| at <= now) {
+                self.begin();
+            }
             if report <= now {
                 report = now + REPORT;
                 self.report();
             }
-            let until = self.retry.map_or(report, |retry| retry.min(report));
+            let until = [self.retry, self.again]
+                .into_iter()
+                .flatten()
+                .fold(report, Instant::min);
             let goes_on = match inputs.recv_timeout(until.saturating_duration_since(now)) {
                 Ok(input) => self.take(input),
                 Err(RecvTimeoutError::Timeout) => true,
@@ -285,6 +293,7 @@ impl Running {
     fn begin(&mut self) {
         self.fresh = true;
         self.running = true;
+        self.again = None;
         self.ending = false;
         self.fed = 0;
         self.pcm = 0;
@@ -299,14 +308,19 @@ impl Running {
         let (feed, inputs) = (self.feeds, self.inputs.clone());
         match speech.open() {
             Ok(sound) => {
-                self.feed = Some(Feed::start(sound, self.setup.clock, move |hop| {
-                    let input = match hop {
-                        Ok(Some((hop, heard_ms))) => Input::Hop(feed, hop, heard_ms),
-                        Ok(None) => Input::SpeechEnded(feed, None),
-                        Err(error) => Input::SpeechEnded(feed, Some(error)),
-                    };
-                    inputs.send(input).is_ok()
-                }));
+                self.feed = Some(Feed::start(
+                    sound,
+                    speech.is_live(),
+                    self.setup.clock,
+                    move |hop| {
+                        let input = match hop {
+                            Ok(Some((hop, heard_ms))) => Input::Hop(feed, hop, heard_ms),
+                            Ok(None) => Input::SpeechEnded(feed, None),
+                            Err(error) => Input::SpeechEnded(feed, Some(error)),
+                        };
+                        inputs.send(input).is_ok()
+                    },
+                ));
             }
             Err(error) => {
                 let _ = inputs.send(Input::SpeechEnded(feed, Some(error)));
@@ -459,11 +473,17 @@ impl Running {
         })));
     }
 
-    fn speech_ended(&mut self, error: Option<SoundError>) {
+    fn speech_ended(&mut self, error: Option<SpeechError>) {
         self.feed = None;
         match error {
             Some(error) => {
                 let text = chain(&error);
+                if self.setup.speech.as_ref().is_some_and(Speech::is_live) {
+                    self.say_once(Level::Warning, &format!("{text}; waiting for it"));
+                    self.tell(ToDevice::Stop);
+                    self.again = Some(Instant::now() + RETRY);
+                    return;
+                }
                 self.notice(Level::Error, text.clone());
                 self.end(&text);
             }
@@ -510,6 +530,7 @@ impl Running {
                 _ => self.begin(),
             },
             Command::Stop => {
+                self.again = None;
                 self.feed = None;
                 self.feeds += 1;
                 self.running = false;

@@ -21,6 +21,8 @@ pub mod event;
 pub mod feed;
 pub mod hub;
 mod inside;
+#[cfg(feature = "mic")]
+mod microphone;
 pub mod outputs;
 mod port;
 pub mod qemu;

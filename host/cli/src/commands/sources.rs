@@ -28,6 +28,9 @@ pub(crate) struct SourceArgs {
     /// Speech that is spoken in real time: to the device, or without one to the model in this program
     #[arg(long, value_name = "SOUND")]
     wav: Option<PathBuf>,
+    /// A microphone of this computer is what is heard: the one with NAME in its name [default: the system's own choice]
+    #[arg(long, value_name = "NAME", num_args = 0..=1, conflicts_with = "wav")]
+    mic: Option<Option<String>>,
     /// The firmware in QEMU is the device [default program: what `cargo build` makes of it in this folder]
     #[arg(long, value_name = "PROGRAM", num_args = 0..=1, conflicts_with = "source")]
     qemu: Option<Option<PathBuf>>,
@@ -83,37 +86,45 @@ impl SourceArgs {
         let address = match (&self.source, &self.qemu) {
             (Some(words), _) => Some(words.parse::<Address>()?),
             (None, Some(program)) => Some(Address::Qemu(firmware(program.as_deref())?)),
-            (None, None) if self.wav.is_some() => None,
+            (None, None) if self.speech().is_some() => None,
             (None, None) => match Address::find() {
                 Ok(address) => Some(address),
                 Err(AddressError::None) => return Ok(None),
                 Err(error) => return Err(error.into()),
             },
         };
-        if let (Some(address), Some(wav)) = (&address, &self.wav)
+        let speech = self.speech();
+        if let (Some(address), Some(speech)) = (&address, &speech)
             && !address.obeys()
         {
-            bail!(
-                "{address} does not listen: {} cannot be spoken to it",
-                wav.display()
-            );
+            let what = match speech {
+                Speech::File(path) => path.display().to_string(),
+                _ => "the microphone".to_owned(),
+            };
+            bail!("{address} does not listen: {what} cannot be spoken to it");
         }
-        if let Some(wav) = &self.wav {
-            // What is wrong with the file is said now, not when it is spoken.
-            Speech::File(wav.clone()).open()?;
+        if let Some(speech) = &speech {
+            // What is wrong with it is said now, not when it is spoken.
+            speech.open()?;
         }
         Ok(Some(Setup {
             source: match address {
                 Some(address) => Source::Line(address),
                 None => Source::Inside(Arc::clone(&model.engine)),
             },
-            speech: self.wav.clone().map(Speech::File),
+            speech,
             repeat: self.repeat,
             profile: self.profile.map(Into::into),
             hub: Arc::clone(hub),
             clock,
             mouths: Arc::clone(mouths),
         }))
+    }
+
+    /// What is spoken.
+    fn speech(&self) -> Option<Speech> {
+        let wav = self.wav.clone().map(Speech::File);
+        wav.or_else(|| self.mic.clone().map(Speech::Microphone))
     }
 
     /// Starts everything that frames also go to.

@@ -13,6 +13,7 @@ use std::path::Path;
 
 mod flac;
 mod input;
+mod live;
 mod mp3;
 mod ogg;
 mod resample;
@@ -180,6 +181,26 @@ impl Reader<'static> {
 }
 
 impl<'a> Reader<'a> {
+    /// Sound that is made while it is read, by a microphone for instance; errors call it `name`. `next` appends samples, all channels averaged,
+    /// full scale ±1, waits until there are some, and gives false when there will be no more.
+    ///
+    /// # Errors
+    ///
+    /// [`SoundError::Rate`]: the rate is none that is read.
+    pub fn of_live(
+        name: &str,
+        rate_hz: u32,
+        channels: usize,
+        next: impl FnMut(&mut Vec<f64>) -> io::Result<bool> + Send + 'a,
+    ) -> Result<Self> {
+        let live = live::Live {
+            rate_hz,
+            channels,
+            next,
+        };
+        Self::of_decoder(name, Box::new(live)).map_err(in_file(name))
+    }
+
     fn of_input(name: &str, mut input: Input<'a>) -> Result<Self> {
         if input.peek(1)?.is_empty() {
             return Err(SoundError::Empty);
@@ -190,6 +211,10 @@ impl<'a> Reader<'a> {
             Kind::Ogg => Box::new(ogg::Vorbis::open(input)?),
             Kind::Mp3 => Box::new(mp3::Mp3::open(input)?),
         };
+        Self::of_decoder(name, decoder)
+    }
+
+    fn of_decoder(name: &str, decoder: Box<dyn Decode + 'a>) -> Result<Self> {
         let rate_hz = decoder.rate_hz();
         if !RATES_HZ.contains(&rate_hz) {
             return Err(SoundError::Rate { rate_hz });
