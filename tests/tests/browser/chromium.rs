@@ -32,25 +32,40 @@ pub(crate) struct Browser {
 }
 
 impl Browser {
-    /// Opens `url`.
+    /// Opens `url`, WebGL drawn by the processor.
     pub(crate) fn open(url: &str) -> Self {
+        Self::open_with(
+            url,
+            &[
+                "--disable-gpu-sandbox",
+                "--use-angle=swiftshader",
+                "--enable-unsafe-swiftshader",
+            ],
+        )
+    }
+
+    /// Opens `url` without WebGL, as on a computer without a graphics card: much less work for the processor.
+    pub(crate) fn open_plain(url: &str) -> Self {
+        Self::open_with(
+            url,
+            &[
+                "--disable-gpu",
+                "--disable-software-rasterizer",
+                "--disable-3d-apis",
+            ],
+        )
+    }
+
+    fn open_with(url: &str, flags: &[&str]) -> Self {
         let profile = tempfile::tempdir().unwrap();
         let name = NAMES.into_iter().find(|name| is_program(name));
         let name = name.unwrap_or_else(|| {
             panic!("none of {NAMES:?} is installed (tests/run installs one, or leaves these tests out)")
         });
         let mut process = Command::new(name)
-            .args([
-                "--headless",
-                "--no-sandbox",
-                "--disable-gpu-sandbox",
-                "--use-angle=swiftshader",
-            ])
-            .args([
-                "--enable-unsafe-swiftshader",
-                "--autoplay-policy=no-user-gesture-required",
-                "--mute-audio",
-            ])
+            .args(["--headless", "--no-sandbox", "--mute-audio"])
+            .arg("--autoplay-policy=no-user-gesture-required")
+            .args(flags)
             .args(["--remote-debugging-port=0", "--window-size=700,900"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
             .arg("about:blank")
@@ -85,6 +100,11 @@ impl Browser {
         browser.ask("Page.navigate", json!({ "url": url }));
         browser.wait("typeof window.lipstream === 'object'");
         browser
+    }
+
+    /// The browser's first process.
+    pub(crate) fn process(&self) -> u32 {
+        self.process.id()
     }
 
     fn ask(&mut self, method: &str, parameters: Value) -> Value {

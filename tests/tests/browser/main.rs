@@ -149,7 +149,7 @@ fn in_a_browser_speech_moves_the_mouth_and_silence_does_not() {
     let _alone = alone();
     let folder = tempfile::tempdir().unwrap();
     let (desk, server) = desk(folder.path(), true);
-    let mut browser = Browser::open(&server.url());
+    let mut browser = Browser::open(&format!("{}?webgl", server.url()));
     desk.attach(setup(
         &desk,
         Source::Inside(Arc::new(Engine::shipped())),
@@ -188,7 +188,7 @@ fn in_a_browser_the_firmware_in_qemu_speaks() {
     let folder = tempfile::tempdir().unwrap();
     let program = common::qemu::build_firmware(&common::folder("browser"), "firmware", None);
     let (desk, server) = desk(folder.path(), true);
-    let mut browser = Browser::open(&server.url());
+    let mut browser = Browser::open_plain(&server.url());
     desk.attach(setup(
         &desk,
         Source::Line(Address::Qemu(program)),
@@ -225,7 +225,7 @@ fn in_a_browser_a_recording_plays_again() {
     drop(driver);
     assert_eq!(frames, 1420);
     let (desk, server) = desk(folder.path(), true);
-    let mut browser = Browser::open(&server.url());
+    let mut browser = Browser::open_plain(&server.url());
     desk.attach(setup(&desk, Source::Line(Address::Recording(stream)), None));
     still_moving_still(&mut browser, "recording");
     browser.wait("window.lipstream.stats().notices.some(n => String(n).includes('has ended') || JSON.stringify(n).includes('has ended'))");
@@ -238,7 +238,7 @@ fn in_a_browser_the_canvas_draws_where_webgl_is_missing() {
     let folder = tempfile::tempdir().unwrap();
     let (desk, server) = desk(folder.path(), true);
     desk.demo();
-    let mut browser = Browser::open(&format!("{}?canvas", server.url()));
+    let mut browser = Browser::open(&server.url());
     browser.wait("window.lipstream.stats().pictures > 20");
     assert_eq!(browser.evaluate("window.lipstream.stats().renderer"), "canvas");
     let first = browser.pixels();
@@ -259,7 +259,7 @@ fn in_a_browser_nothing_attached_offers_the_demo_and_a_model_may_be_missing() {
     let folder = tempfile::tempdir().unwrap();
     // Without a mouth for the demo's model the page shows visemes and numbers.
     let (_desk, server) = desk(folder.path(), false);
-    let mut browser = Browser::open(&server.url());
+    let mut browser = Browser::open_plain(&server.url());
     browser.wait("document.getElementById('can-demo')?.hidden === false");
     browser.evaluate("document.getElementById('can-demo').click()");
     browser.wait("window.lipstream.stats().framesReceived > 100");
@@ -282,7 +282,7 @@ fn in_a_browser_the_heap_does_not_grow() {
     let folder = tempfile::tempdir().unwrap();
     let (desk, server) = desk(folder.path(), true);
     desk.demo();
-    let mut browser = Browser::open(&server.url());
+    let mut browser = Browser::open_plain(&server.url());
     browser.wait("window.lipstream.stats().framesReceived > 500");
     let before = browser.heap();
     std::thread::sleep(Duration::from_secs(30));

@@ -40,7 +40,8 @@ const MOST_BARS = 4;
 const BAR_FRAMES = 15;
 
 const $ = id => document.getElementById(id);
-const view = new MouthView($("mouth"), new URLSearchParams(location.search).has("canvas"));
+const asked = new URLSearchParams(location.search);
+const view = new MouthView($("mouth"), ["canvas", "webgl"].find(by => asked.has(by)) ?? null);
 const plots = new Plots($("plots"));
 const delays = new RecentDelays();
 const count = { received: 0, shown: 0, pictures: 0, late: 0, missing: 0 };
@@ -369,6 +370,8 @@ window.lipstream = {
     };
   },
   pixels: () => view.pixels(),
+  /** Draws the mouth that is shown once more. */
+  draw: () => view.draw(stream.shown, stream.from),
   /** What is on the screen: `part` of the way from the frame of `sample` to its next. */
   frameAtShown() {
     if (!stream || stream.base < 0) return null;

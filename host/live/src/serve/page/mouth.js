@@ -1,6 +1,6 @@
 /**
- * The mouth's picture from its parameters: mean plus eigenmouths times weights, clipped, enlarged. WebGL 2 where there is one; else
- * in plain JavaScript on a 2D canvas.
+ * The mouth's picture from its parameters: mean plus eigenmouths times weights, clipped, enlarged. WebGL 2 where a graphics card
+ * draws it; else in plain JavaScript on a 2D canvas.
  *
  * @typedef {object} MouthSpace
  * @property {number} width  pixels
@@ -72,16 +72,26 @@ void main() {
     + ((4.0 - 3.0 * t) * t + 1.0) * t * pixel(1) + (t - 1.0) * t * t * pixel(2)), 1.0);
 }`;
 
+/** What WebGL calls itself where the processor draws: several times slower than adding up the picture in JavaScript. */
+const SOFTWARE = /swiftshader|llvmpipe|softpipe|software|basic render/i;
+
+/** @param {WebGL2RenderingContext} gl */
+function isSoftware(gl) {
+  const about = gl.getExtension("WEBGL_debug_renderer_info");
+  return SOFTWARE.test(String(gl.getParameter(about ? about.UNMASKED_RENDERER_WEBGL : gl.RENDERER)));
+}
+
 class GlPainter {
   /** What has to be given back. @type {(() => void)[]} */
   made = [];
 
-  /** @param {HTMLCanvasElement} canvas @param {MouthSpace} space */
-  constructor(canvas, space) {
-    // On the processor WebGL is several times slower than adding up the picture in JavaScript: the browser is to say no.
-    const options = { alpha: false, antialias: false, depth: false, powerPreference: "low-power", failIfMajorPerformanceCaveat: true };
+  /** @param {HTMLCanvasElement} canvas @param {MouthSpace} space @param {boolean} anyhow also where the processor draws */
+  constructor(canvas, space, anyhow) {
+    const options = { alpha: false, antialias: false, depth: false, powerPreference: "low-power", failIfMajorPerformanceCaveat: !anyhow };
     const gl = this.gl = canvas.getContext("webgl2", options);
     if (!gl || gl.isContextLost()) throw new Error("there is no WebGL 2");
+    // Not every browser that is asked to refuse does.
+    if (!anyhow && isSoftware(gl)) throw new Error("the processor would have to play the graphics card");
     const { width, height, size, mean, basis, deviation } = space, quads = Math.ceil(size / 4);
     Object.assign(this, { canvas, size, wide: null, weights: new Float32Array(4 * quads), unit: deviation.map(d => d > 0 ? d : 1) });
     this.expand = this.program(EXPAND(quads));
@@ -237,10 +247,10 @@ export class MouthView {
   /** A canvas is for WebGL or for 2D for ever: this one is kept for when a lost context comes back. */
   gl = document.createElement("canvas");
 
-  /** @param {HTMLElement} box @param {boolean} plain whether to do without WebGL */
-  constructor(box, plain) {
+  /** @param {HTMLElement} box @param {"canvas" | "webgl" | null} by what draws; null chooses by what there is */
+  constructor(box, by) {
     this.box = box;
-    this.plain = plain;
+    this.by = by;
     this.gl.addEventListener("webglcontextlost", event => {
       // Without this the browser would not give the context back.
       event.preventDefault();
@@ -277,9 +287,9 @@ export class MouthView {
     this.painter?.free();
     this.painter = null;
     const { space } = this;
-    if (space && !this.plain) {
+    if (space && this.by !== "canvas") {
       try {
-        this.painter = new GlPainter(this.gl, space);
+        this.painter = new GlPainter(this.gl, space, this.by === "webgl");
       } catch (error) {
         console.info(`The mouth is drawn without WebGL: ${error.message}`);
       }
