@@ -1,7 +1,6 @@
 //! The lip gap and the distance of the corners, measured by colour and read out of parameters, against landmarks of another program, on GRID videos. Needs LIPSTREAM_RESEARCH and
 //! `ffmpeg`.
 use std::collections::HashMap;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use lipstream::lips::Lips;
@@ -14,28 +13,9 @@ use lipstream_make::features::{FeatureFolder, Split, read_mouths};
 use ndarray::{Array4, Axis, s};
 use ndarray_npy::ReadNpyExt;
 
-/// One array of an `.npz`.
-fn member(npz: &Path, name: &str) -> Vec<u8> {
-    let file = std::fs::File::open(npz).unwrap_or_else(|e| panic!("{}: {e}", npz.display()));
-    let mut archive = zip::ZipArchive::new(file).unwrap();
-    let mut bytes = Vec::new();
-    archive.by_name(name).unwrap().read_to_end(&mut bytes).unwrap();
-    bytes
-}
+mod common;
 
-/// Strings of a `<U6` array.
-fn names(npy: &[u8]) -> Vec<String> {
-    let header = usize::from(u16::from_le_bytes([npy[8], npy[9]])) + 10;
-    assert!(npy[..header].windows(3).any(|w| w == b"<U6"));
-    let letters = |word: &[u8]| {
-        let codes = word.chunks(4).map(|c| u32::from_le_bytes(c.try_into().unwrap()));
-        codes
-            .filter(|c| *c != 0)
-            .map(|c| char::from_u32(c).unwrap())
-            .collect()
-    };
-    npy[header..].chunks(24).map(letters).collect()
-}
+use common::{member, names};
 
 /// Gap between the inner lips, and distance of their corners, in pixels of the video for each picture; NaN where there is no face.
 fn landmark_openings(npz: &Path) -> HashMap<String, Vec<[f32; 2]>> {

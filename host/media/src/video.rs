@@ -10,7 +10,7 @@ use serde::Deserialize;
 
 use crate::Cause;
 
-/// Pictures higher than this are scaled down while decoding: a mouth is never kept larger than that needs.
+/// Pictures whose shorter side has more pixels than this are scaled down while decoding: a mouth is never kept larger than that needs.
 pub const MAX_LINES: usize = 576;
 /// A clip is one utterance. Beyond this size its pictures do not fit in memory side by side with others.
 const MAX_BYTES: usize = 4 << 30;
@@ -117,11 +117,13 @@ impl Frames {
     }
 }
 
-/// All pictures of a video at its own rate, upright, square pixels, at most [`MAX_LINES`] lines.
+/// All pictures of a video at its own rate, upright, square pixels, the shorter side at most [`MAX_LINES`].
 pub fn decode(path: &Path) -> Result<Frames> {
     let rate = picture_rate(path)?;
+    // What stands upright, as phones film, has its shorter side across.
+    let smaller = format!("min(1,{MAX_LINES}/min(iw*sar,ih))");
     let filter = format!(
-        "fps={rate}:start_time=0,scale=w='trunc(iw*sar*min(1,{MAX_LINES}/ih)/2+0.5)*2':h='min(ih,{MAX_LINES})',setsar=1"
+        "fps={rate}:start_time=0,scale=w='trunc(iw*sar*{smaller}/2+0.5)*2':h='if(lt({smaller},1),trunc(ih*{smaller}/2+0.5)*2,ih)',setsar=1"
     );
     let mut child = program("ffmpeg")
         .args(["-nostdin", "-v", "error", "-i"])
@@ -130,6 +132,8 @@ pub fn decode(path: &Path) -> Result<Frames> {
         .args([
             "-sws_flags",
             "area+accurate_rnd+full_chroma_int",
+            "-pix_fmt",
+            "rgb24",
             "-f",
             "image2pipe",
             "-c:v",

@@ -5,6 +5,7 @@ pub mod labels;
 pub mod phoneset;
 pub mod prepare;
 pub mod pronounce;
+mod sheet;
 mod stamp;
 pub mod summary;
 mod visual;

@@ -11,10 +11,11 @@ use ndarray::Array4;
 use rayon::prelude::*;
 
 use super::prepare::{PrepareSettings, Prepared, reason};
+use super::sheet;
 use super::stamp::{self, Notes};
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{self, Skipped, Split};
-use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
+use crate::vision::{self, Affine, ChannelMap, LipsSeen, MouthSamples, MouthTrack, Tracker};
 use lipstream::mouth::MouthSpace;
 use lipstream::npy;
 use lipstream::progress::{Progress, Steps};
@@ -23,11 +24,11 @@ use lipstream_media::files;
 use lipstream_media::video;
 
 /// Changes when the same video gives other mouth images.
-const MOUTHS_VERSION: u32 = 1;
+const MOUTHS_VERSION: u32 = 2;
 
-/// Clips that a speaker's face is learnt from, and pictures of each.
+/// Clips that a speaker's face is learnt from at most, and pictures of all of them together.
 const REFERENCE_CLIPS: usize = 12;
-const REFERENCE_PICTURES: usize = 16;
+const REFERENCE_PICTURES: usize = 192;
 
 /// Images that the eigenmouths are computed from: their number is what the time and memory depend on.
 const MOST_IMAGES: usize = 1200;
@@ -35,8 +36,59 @@ const MOST_IMAGES: usize = 1200;
 /// How far (s) sound and pictures of a clip may differ in length.
 const LENGTHS_DIFFER_S: f64 = 1.0;
 
+/// A clip whose lips are whole in fewer of its pictures than this is one to look at.
+const SURELY_WHOLE: f32 = 0.97;
+
 /// What a clip's mouth images are vouched for by: inputs and settings in one line.
 type Stamp = String;
+
+/// A clip's mouth images as they were noted.
+struct Seen {
+    frames: usize,
+    rate_hz: f32,
+    lips: Option<LipsSeen>,
+}
+
+impl Seen {
+    /// The words of a note.
+    fn note(&self) -> String {
+        let rate = self.rate_hz.to_string();
+        match &self.lips {
+            None => rate,
+            Some(LipsSeen {
+                looked,
+                seen,
+                whole,
+                wander,
+            }) => format!("{rate} {looked} {seen} {whole} {wander}"),
+        }
+    }
+
+    fn of_note(note: &str, frames: usize) -> Option<Self> {
+        let words: Vec<&str> = note.split_whitespace().collect();
+        let lips = match words[..] {
+            [_] => None,
+            [_, looked, seen, whole, wander] => Some(LipsSeen {
+                looked: looked.parse().ok()?,
+                seen: seen.parse().ok()?,
+                whole: whole.parse().ok()?,
+                wander: wander.parse().ok()?,
+            }),
+            _ => return None,
+        };
+        Some(Self {
+            frames,
+            rate_hz: words.first()?.parse().ok()?,
+            lips,
+        })
+    }
+
+    /// Whether somebody should look at the mouths.
+    fn is_doubtful(&self) -> bool {
+        self.lips
+            .is_some_and(|lips| (lips.whole as f32) < SURELY_WHOLE * lips.seen as f32)
+    }
+}
 
 /// A speaker with video: his clips, those that his face is learnt from, and what says so.
 struct Face<'a> {
@@ -61,13 +113,15 @@ pub(super) fn see(
         return Ok(0);
     }
     let mut stamps = Vec::new();
+    let mut lips = Vec::new();
     let mut kept = Vec::with_capacity(clips.len());
     for (mut prepared, result) in clips.drain(..).zip(results) {
         let stamp = match result {
             None => String::new(),
-            Some(Ok((frames, rate_hz, stamp))) => {
-                prepared.clip.video_frames = frames;
-                prepared.clip.video_hz = rate_hz;
+            Some(Ok((seen, stamp))) => {
+                prepared.clip.video_frames = seen.frames;
+                prepared.clip.video_hz = seen.rate_hz;
+                lips.push((prepared.clip.id.clone(), seen));
                 stamp
             }
             Some(Err(error)) => {
@@ -89,6 +143,7 @@ pub(super) fn see(
             skipped.last().map_or("", |s| s.reason.as_str())
         );
     }
+    show(&lips, out, progress)?;
     let (space, space_stamp) = eigenmouths(clips, &stamps, settings, progress)?;
     weigh(clips, &stamps, &space, &space_stamp, settings, progress)?;
     Ok(space.size())
@@ -98,8 +153,48 @@ fn video_path(prepared: &Prepared) -> &Path {
     prepared.source.video.as_deref().unwrap_or(Path::new(""))
 }
 
-/// Mouth images of every clip with video: number of pictures, their rate, and what vouches for them.
-type Tracked = Option<Result<(usize, f32, Stamp)>>;
+/// Writes the contact sheet, and says how surely the mouths are mouths.
+fn show(clips: &[(String, Seen)], out: &Path, progress: &dyn Progress) -> Result<()> {
+    let mut rows = Vec::new();
+    for index in sheet::chosen(clips.len()) {
+        let (id, seen) = &clips[index];
+        rows.push(sheet::Row {
+            images: features::read_mouths(&mouths_path(out, id))?,
+            look: seen.is_doubtful(),
+        });
+    }
+    sheet::write(&out.join("sheet.png"), &rows)?;
+    for (id, seen) in clips.iter().filter(|(_, seen)| seen.is_doubtful()) {
+        if let Some(lips) = seen.lips {
+            let (whole, all) = (lips.whole, lips.seen);
+            progress.say(&format!(
+                "{id}: the lips are whole in {whole} of {all} pictures: look at it in sheet.png"
+            ));
+        }
+    }
+    let judged = || clips.iter().filter_map(|(_, seen)| seen.lips);
+    let (whole, all) = judged().fold((0, 0), |(whole, all), lips| (whole + lips.whole, all + lips.seen));
+    let unknown = clips.len() - judged().count();
+    if all > 0 {
+        let mut wander: Vec<f32> = judged().map(|lips| lips.wander).collect();
+        wander.sort_by(f32::total_cmp);
+        progress.say(&format!(
+            "lips are whole in {:.1} % of {all} pictures looked at, in {} clips; they wander by {:.1} % of the mouth's width (95th percentile of the              middle clip); sheet.png shows every clip's mouths",
+            100.0 * whole as f64 / f64::from(all as u32),
+            judged().count(),
+            100.0 * wander[wander.len() / 2],
+        ));
+    }
+    if unknown > 0 {
+        progress.say(&format!(
+            "no lips were found in {unknown} clips: their mouths are where the lower face moves most; look at sheet.png"
+        ));
+    }
+    Ok(())
+}
+
+/// Mouth images of every clip with video, and what vouches for them.
+type Tracked = Option<Result<(Seen, Stamp)>>;
 
 fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<Vec<Tracked>> {
     let mut faces = faces(clips)?;
@@ -182,7 +277,7 @@ impl Face<'_> {
         let learn = || -> Result<Tracker> {
             let thinned = |path: &&Path| {
                 let frames = video::decode(path).map_err(Error::other)?;
-                Ok(frames.thinned((frames.len() / REFERENCE_PICTURES).max(1)))
+                Ok(frames.thinned((frames.len() * self.reference.len() / REFERENCE_PICTURES).max(1)))
             };
             let mut clips = Vec::new();
             let mut trouble: Option<Error> = None;
@@ -214,7 +309,7 @@ fn tracked(
     face: &Face,
     size: Option<(usize, usize)>,
     out: &Path,
-) -> Result<(Stamp, Option<(usize, f32)>)> {
+) -> Result<(Stamp, Option<Seen>)> {
     let id = &prepared.clip.id;
     let size = size.map_or("own".into(), |(w, h)| format!("{w}x{h}"));
     let stamp = format!("{} {} {size}", stamp::of_file(video_path(prepared))?, face.stamp);
@@ -223,8 +318,9 @@ fn tracked(
         return Ok((stamp, None));
     };
     let images = features::read_mouths(&path)?;
-    let rate_hz: f32 = noted.parse().context("a damaged note in the cache")?;
-    Ok((stamp, Some((images.dim().0, rate_hz))))
+    let seen = Seen::of_note(&noted, images.dim().0);
+    let seen = seen.ok_or_else(|| Error::Data("a damaged note in the cache".into()))?;
+    Ok((stamp, Some(seen)))
 }
 
 /// One clip's mouth images in `mouths/`, from an earlier run or tracked now.
@@ -233,13 +329,13 @@ fn track_one(
     face: &Face,
     size: Option<(usize, usize)>,
     out: &Path,
-) -> Result<(usize, f32, Stamp)> {
+) -> Result<(Seen, Stamp)> {
     let id = &prepared.clip.id;
     let from = video_path(prepared);
     let path = mouths_path(out, id);
     let (stamp, done) = tracked(prepared, face, size, out)?;
-    if let Some((frames, rate_hz)) = done {
-        return Ok((frames, rate_hz, stamp));
+    if let Some(seen) = done {
+        return Ok((seen, stamp));
     }
     let notes = Notes::new(out, id);
     notes.forget("mouths");
@@ -255,15 +351,19 @@ fn track_one(
     }
     let track = tracker.track(&frames)?;
     drop(frames);
-    let (count, rate_hz) = (track.len(), track.rate_hz);
-    let images = Array4::from_shape_vec((count, track.height, track.width, 3), track.images)?;
+    let seen = Seen {
+        frames: track.len(),
+        rate_hz: track.rate_hz,
+        lips: track.lips,
+    };
+    let images = Array4::from_shape_vec((seen.frames, track.height, track.width, 3), track.images)?;
     let images = match size {
         Some(size) if size != (track.width, track.height) => resampled(&images, size),
         _ => images,
     };
     write_mouths(&path, &images)?;
-    notes.note_with("mouths", &stamp, &rate_hz.to_string())?;
-    Ok((count, rate_hz, stamp))
+    notes.note_with("mouths", &stamp, &seen.note())?;
+    Ok((seen, stamp))
 }
 
 fn write_mouths(path: &Path, images: &Array4<u8>) -> Result<()> {
@@ -299,6 +399,7 @@ fn as_track(images: Array4<u8>, rate_hz: f32) -> MouthTrack {
         scores: vec![1.0; count],
         colour: [ChannelMap::IDENTITY; 3],
         rate_hz,
+        lips: None,
     }
 }
 

@@ -195,6 +195,7 @@ mod tests {
             scores: vec![1.0; count],
             colour: [ChannelMap::IDENTITY; 3],
             rate_hz: 25.0,
+            lips: None,
         }
     }
 

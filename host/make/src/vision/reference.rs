@@ -4,8 +4,9 @@ use super::affine::Affine;
 use super::colour;
 use super::face::{Detector, FaceBox, median};
 use super::image::{Plane, luminance};
+use super::landmarks::{LandmarkFinder, Landmarks, Lips};
 use super::register::Template;
-use super::tracker::{View, follow};
+use super::tracker::{View, follow_some};
 use crate::error::{Error, Result};
 use lipstream_media::video::Frames;
 
@@ -13,13 +14,21 @@ use lipstream_media::video::Frames;
 const MAX_SIDE: f32 = 160.0;
 /// The registered region, in sides of the face box from its left upper corner: left, top, right, bottom.
 const UPPER_FACE: [f32; 4] = [0.02, -0.05, 0.98, 0.62];
-/// The mouth rectangle's width over the face box's side; it is three quarters as high.
+/// The mouth rectangle's width over the face box's side, where no lips are seen; it is three quarters as high.
 const MOUTH_WIDTH: f32 = 0.56;
+/// The lips' width, in the middle of all pictures, over the rectangle's.
+const LIPS_WIDTH: f32 = 0.6;
+/// Lips may reach so far, over half of the rectangle's sides, in all but a fiftieth of the pictures.
+const LIPS_REACH: f32 = 0.92;
+/// Of the pictures that are looked at, so many must show lips, or motion says where the mouth is.
+const LEAST_LIPS: f32 = 0.5;
 /// Where the mouth's centre is expected.
 const MOUTH_CENTRE: (f32, f32) = (0.5, 0.84);
 /// Pictures of a clip that go into the template.
 const PICKS: usize = 8;
 const ROUNDS: usize = 3;
+/// Pictures of a clip in which the face must be found.
+const LEAST_PICTURES: usize = 6;
 
 /// The mouth rectangle in template coordinates: pixel (0, 0) lies at (left, top), the scale is the template's.
 pub(crate) struct MouthPlace {
@@ -27,6 +36,8 @@ pub(crate) struct MouthPlace {
     pub top: f32,
     pub width: usize,
     pub height: usize,
+    /// Where speech moves the lips' surroundings least ([`Lips::anchor`]), in pixels of the rectangle; None where no lips were seen.
+    pub anchor: Option<(f32, f32)>,
 }
 
 pub(crate) struct Reference {
@@ -38,6 +49,13 @@ pub(crate) struct Reference {
     pub skin: Vec<(f32, f32)>,
     /// The speaker's colours there, `[channel][point]`.
     pub colours: [Vec<f32>; 3],
+}
+
+/// A clip, and those of its pictures in which the face was found: their numbers and the map from the template.
+struct Seen<'a> {
+    view: &'a View<'a>,
+    face: FaceBox,
+    pictures: Vec<(usize, Affine)>,
 }
 
 /// A clip with its face.
@@ -86,15 +104,34 @@ pub(crate) fn learn(clips: &[Frames]) -> Result<Reference> {
     // Every picture of every clip, with the final template.
     let mut tracks = Vec::new();
     for sample in &samples {
-        match follow(&template, &sample.view, sample.face, &mut detector) {
-            Ok((maps, _)) => tracks.push((&sample.view, maps)),
-            Err(error) => reason = error,
+        // A bad picture is left out; it does not spoil the others.
+        let found = follow_some(&template, &sample.view, sample.face, &mut detector);
+        let pictures: Vec<(usize, Affine)> = found
+            .iter()
+            .enumerate()
+            .filter_map(|(index, found)| Some((index, found.as_ref()?.map)))
+            .collect();
+        if pictures.len() < LEAST_PICTURES.min(found.len()) {
+            reason = Error::Data(format!(
+                "the face is lost in {} of {} pictures (turned away, covered, or another person)",
+                found.len() - pictures.len(),
+                found.len()
+            ));
+            continue;
         }
+        tracks.push(Seen {
+            view: &sample.view,
+            face: sample.face,
+            pictures,
+        });
     }
     if tracks.is_empty() {
         return Err(reason);
     }
-    let mouth = mouth_place(&tracks, side);
+    let mouth = match mouth_of_lips(&seen_lips(&tracks)?, side) {
+        Some(place) => place,
+        None => mouth_of_motion(&tracks, side),
+    };
     let skin = skin_points(&mouth, side);
     let colours = common_colours(&tracks, &skin);
     Ok(Reference {
@@ -242,8 +279,82 @@ fn centre_on_average(samples: &mut [Sample], side: f32) {
     }
 }
 
-/// The mouth's rectangle: where the lower face moves most, about where a mouth is expected.
-fn mouth_place(tracks: &[(&View, Vec<Affine>)], side: f32) -> MouthPlace {
+/// The lips in every picture, in template coordinates; None where the network sees no face.
+fn seen_lips(tracks: &[Seen]) -> Result<Vec<Option<Lips>>> {
+    let finder = LandmarkFinder::new()?;
+    let mut all = Vec::new();
+    for track in tracks {
+        let frames = track.view.frames();
+        let mut before: Option<Landmarks> = None;
+        for (index, map) in &track.pictures {
+            let near = before
+                .as_ref()
+                .and_then(|before| finder.near(frames, *index, before));
+            let found = near.or_else(|| finder.near_box(frames, *index, track.face));
+            let to_template = track.view.to_frame().after(map).inverse();
+            all.push(
+                found
+                    .as_ref()
+                    .zip(to_template)
+                    .map(|(landmarks, map)| landmarks.lips(&map)),
+            );
+            before = found;
+        }
+    }
+    Ok(all)
+}
+
+/// The mouth's rectangle: around the lips, as large as they need.
+fn mouth_of_lips(lips: &[Option<Lips>], side: f32) -> Option<MouthPlace> {
+    let seen: Vec<Lips> = lips.iter().flatten().copied().collect();
+    if seen.is_empty() || (seen.len() as f32) < LEAST_LIPS * lips.len() as f32 {
+        return None;
+    }
+    let middle = |of: fn(&Lips) -> f32| median(seen.iter().map(of));
+    let (cx, cy) = (
+        middle(|l| 0.5 * (l.extent[0] + l.extent[2])),
+        middle(|l| 0.5 * (l.extent[1] + l.extent[3])),
+    );
+    let lips_width = middle(|l| l.extent[2] - l.extent[0]);
+    // How far the lips reach from there, sideways and up or down as the rectangle is three quarters as high.
+    let reach = |l: &Lips| {
+        let across = (l.extent[2] - cx).max(cx - l.extent[0]);
+        let down = (l.extent[3] - cy).max(cy - l.extent[1]);
+        across.max(down / 0.75)
+    };
+    let mut reaches: Vec<f32> = seen.iter().map(reach).collect();
+    let place = reaches.len() * 49 / 50;
+    let reach = *reaches
+        .select_nth_unstable_by(place.min(seen.len() - 1), f32::total_cmp)
+        .1;
+    let wanted = (lips_width / LIPS_WIDTH)
+        .max(2.0 * reach / LIPS_REACH)
+        .min(0.9 * side);
+    let anchor = (middle(|l| l.anchor.0), middle(|l| l.anchor.1));
+    let place = MouthPlace::around((cx, cy), wanted);
+    Some(MouthPlace {
+        anchor: Some((anchor.0 - place.left, anchor.1 - place.top)),
+        ..place
+    })
+}
+
+impl MouthPlace {
+    /// About so wide, a multiple of eight pixels, and three quarters as high.
+    fn around((cx, cy): (f32, f32), wanted: f32) -> Self {
+        let width = ((wanted / 8.0).round() * 8.0).max(16.0);
+        let height = 0.75 * width;
+        Self {
+            left: (cx - 0.5 * (width - 1.0)).round(),
+            top: (cy - 0.5 * (height - 1.0)).round(),
+            width: width as usize,
+            height: height as usize,
+            anchor: None,
+        }
+    }
+}
+
+/// The mouth's rectangle where no lips are seen, as in a drawing: where the lower face moves most, about where a mouth is expected.
+fn mouth_of_motion(tracks: &[Seen], side: f32) -> MouthPlace {
     let motion = motion_map(tracks, side);
     let (mut cx, mut cy) = (MOUTH_CENTRE.0 * side, MOUTH_CENTRE.1 * side);
     let (ox, oy) = LOWER_FACE_ORIGIN;
@@ -270,14 +381,7 @@ fn mouth_place(tracks: &[(&View, Vec<Affine>)], side: f32) -> MouthPlace {
         cx = (sx / total).clamp(0.38 * side, 0.62 * side);
         cy = (sy / total).clamp(0.72 * side, 0.96 * side);
     }
-    let width = ((MOUTH_WIDTH * side / 8.0).round() * 8.0).max(16.0);
-    let height = 0.75 * width;
-    MouthPlace {
-        left: (cx - 0.5 * (width - 1.0)).round(),
-        top: (cy - 0.5 * (height - 1.0)).round(),
-        width: width as usize,
-        height: height as usize,
-    }
+    MouthPlace::around((cx, cy), MOUTH_WIDTH * side)
 }
 
 /// Left upper corner of the region searched for motion, in box sides, and its size.
@@ -285,7 +389,7 @@ const LOWER_FACE_ORIGIN: (f32, f32) = (0.1, 0.58);
 const LOWER_FACE_SIZE: (f32, f32) = (0.8, 0.55);
 
 /// Standard deviation over time of the luminance, averaged over clips.
-fn motion_map(tracks: &[(&View, Vec<Affine>)], side: f32) -> Plane {
+fn motion_map(tracks: &[Seen], side: f32) -> Plane {
     let (ox, oy) = (
         (LOWER_FACE_ORIGIN.0 * side).round(),
         (LOWER_FACE_ORIGIN.1 * side).round(),
@@ -293,11 +397,11 @@ fn motion_map(tracks: &[(&View, Vec<Affine>)], side: f32) -> Plane {
     let width = (LOWER_FACE_SIZE.0 * side) as usize;
     let height = (LOWER_FACE_SIZE.1 * side) as usize;
     let mut motion = Plane::new(width, height);
-    for (view, maps) in tracks {
+    for Seen { view, pictures, .. } in tracks {
         let mut sum = Plane::new(width, height);
         let mut square = Plane::new(width, height);
-        for (index, map) in maps.iter().enumerate() {
-            let grey = luminance(&view.colours(index));
+        for (index, map) in pictures {
+            let grey = luminance(&view.colours(*index));
             for y in 0..height {
                 for x in 0..width {
                     let (fx, fy) = map.apply(ox + x as f32, oy + y as f32);
@@ -307,7 +411,7 @@ fn motion_map(tracks: &[(&View, Vec<Affine>)], side: f32) -> Plane {
                 }
             }
         }
-        let count = maps.len() as f32;
+        let count = pictures.len() as f32;
         for ((m, s), q) in motion.data.iter_mut().zip(&sum.data).zip(&square.data) {
             let mean = s / count;
             *m += (q / count - mean * mean).max(0.0).sqrt() / tracks.len() as f32;
@@ -336,10 +440,13 @@ fn skin_points(mouth: &MouthPlace, side: f32) -> Vec<(f32, f32)> {
 }
 
 /// Colours of the speaker: the mean of all clips, after each has been brought to the mean.
-fn common_colours(tracks: &[(&View, Vec<Affine>)], skin: &[(f32, f32)]) -> [Vec<f32>; 3] {
+fn common_colours(tracks: &[Seen], skin: &[(f32, f32)]) -> [Vec<f32>; 3] {
     let seen: Vec<[Vec<f32>; 3]> = tracks
         .iter()
-        .map(|(view, maps)| view.mean_colours(maps, skin))
+        .map(|seen| {
+            seen.view
+                .mean_colours(seen.pictures.iter().map(|(index, map)| (*index, map)), skin)
+        })
         .collect();
     std::array::from_fn(|c| {
         let mean_of = |clips: &[Vec<f32>]| -> Vec<f32> {

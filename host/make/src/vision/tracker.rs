@@ -1,13 +1,15 @@
 //! Where the mouth is in every picture of a clip, steady, whatever the head does.
 //!
 //! The rigid upper face (brows, eyes, bridge of the nose) is registered in every picture to a template that all clips of a
-//! speaker share; the mouth itself is never used. The mouth image is then a fixed rectangle of the template's coordinates,
-//! sampled through the registration.
+//! speaker share; the mouth itself is never used. The mouth image is then a rectangle of the template's coordinates, sampled through the
+//! registration. Where lips are seen the rectangle slowly follows them (a head that turns shifts the mouth against the brows), and what was
+//! seen says whether it is on the mouth at all.
 
 use super::affine::Affine;
 use super::colour::{self, ChannelMap};
 use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
+use super::landmarks::{LandmarkFinder, Landmarks, Lips};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
 use crate::error::{Result, bail};
@@ -19,6 +21,29 @@ pub(crate) const LEAST_SCORE: f32 = 0.55;
 const SURE_SCORE: f32 = 0.8;
 /// More lost pictures than this share, and the clip is refused.
 const MOST_LOST: f32 = 0.1;
+/// The same where lips are looked for too: they say whether the rectangle is right in between.
+const MOST_LOST_WITH_LIPS: f32 = 0.25;
+
+/// Pictures a second in which the lips are looked for.
+const LOOKS_HZ: f32 = 12.5;
+/// The rectangle follows the lips as slowly as this (standard deviation of a Gaussian, seconds), so that it does not follow speech.
+const FOLLOWS_S: f32 = 0.4;
+/// Of the pictures looked at, so many must show lips, and all of them inside the rectangle.
+const LEAST_WHOLE: f32 = 0.9;
+
+/// What was seen of the lips of a clip.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct LipsSeen {
+    /// Pictures that were looked at.
+    pub looked: usize,
+    /// Of them those with lips.
+    pub seen: usize,
+    /// Of these those with all of the lips inside the mouth's rectangle.
+    pub whole: usize,
+    /// How far the lips' surroundings wander in the rectangle, once it has followed them: the 95th percentile of the distance from their
+    /// middle place, over the rectangle's width.
+    pub wander: f32,
+}
 
 /// The mouth of every picture of a clip.
 #[derive(Clone, Debug)]
@@ -38,6 +63,8 @@ pub struct MouthTrack {
     pub colour: [ChannelMap; 3],
     /// Pictures a second.
     pub rate_hz: f32,
+    /// What was seen of the lips; None where the speaker's were not found and motion says where the mouth is.
+    pub lips: Option<LipsSeen>,
 }
 
 impl MouthTrack {
@@ -84,8 +111,14 @@ impl Tracker {
         let mut detector = Detector::new()?;
         let face = detector.find_in_clip(frames)?;
         let view = View::new(frames, face, self.reference.side);
-        let (maps, scores) = follow(&self.reference.template, &view, face, &mut detector)?;
-        let maps = steadied(&maps);
+        let (maps, scores) = {
+            let most_lost = match self.reference.mouth.anchor {
+                Some(_) => MOST_LOST_WITH_LIPS,
+                None => MOST_LOST,
+            };
+            follow(&self.reference.template, &view, face, &mut detector, most_lost)?
+        };
+        let (maps, lips) = self.on_the_lips(frames, &view, face, steadied(&maps))?;
         let colour = self.clip_colour(&view, &maps);
         let mouth = &self.reference.mouth;
         let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
@@ -113,12 +146,97 @@ impl Tracker {
             scores,
             colour,
             rate_hz: frames.rate_hz,
+            lips,
         })
+    }
+
+    /// Lets the rectangle follow the lips slowly, and judges whether it is on them.
+    fn on_the_lips(
+        &self,
+        frames: &Frames,
+        view: &View,
+        face: FaceBox,
+        mut maps: Vec<Affine>,
+    ) -> Result<(Vec<Affine>, Option<LipsSeen>)> {
+        let mouth = &self.reference.mouth;
+        let Some(anchor) = mouth.anchor else {
+            return Ok((maps, None));
+        };
+        let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
+        let in_rectangle = |map: &Affine| view.to_frame().after(map).after(&to_template).inverse();
+        let step = (frames.rate_hz / LOOKS_HZ).round().max(1.0) as usize;
+        let finder = LandmarkFinder::new()?;
+        let mut before: Option<Landmarks> = None;
+        let looks: Vec<(usize, Option<Landmarks>)> = (0..maps.len())
+            .step_by(step)
+            .map(|index| {
+                let near = before
+                    .as_ref()
+                    .and_then(|before| finder.near(frames, index, before));
+                let found = near.or_else(|| finder.near_box(frames, index, face));
+                before.clone_from(&found);
+                (index, found)
+            })
+            .collect();
+        let lips = |maps: &[Affine]| -> Vec<(usize, Lips)> {
+            let seen = looks.iter().filter_map(|(index, found)| {
+                Some((*index, found.as_ref()?.lips(&in_rectangle(&maps[*index])?)))
+            });
+            seen.collect()
+        };
+        let seen = lips(&maps);
+        if (seen.len() as f32) < LEAST_WHOLE * looks.len() as f32 {
+            bail!(
+                Data,
+                "lips are seen in {} of {} pictures looked at only (turned away, covered, or another face)",
+                seen.len(),
+                looks.len()
+            );
+        }
+        let away: Vec<(usize, f32, f32)> = seen
+            .iter()
+            .map(|(index, lips)| (*index, lips.anchor.0 - anchor.0, lips.anchor.1 - anchor.1))
+            .collect();
+        let width = FOLLOWS_S * frames.rate_hz;
+        for (index, map) in maps.iter_mut().enumerate() {
+            let (mut dx, mut dy, mut total) = (0.0f32, 0.0f32, 0.0f32);
+            for (at, x, y) in &away {
+                let weight = (-0.5 * ((*at as f32 - index as f32) / width).powi(2)).exp() + 1e-6;
+                (dx, dy, total) = (dx + weight * x, dy + weight * y, total + weight);
+            }
+            *map = map.after(&Affine::scaled(1.0, dx / total, dy / total));
+        }
+        let (right, bottom) = ((mouth.width - 1) as f32, (mouth.height - 1) as f32);
+        let followed = lips(&maps);
+        let inside = |lips: &Lips| {
+            let [left, top, to_right, to_bottom] = lips.extent;
+            left >= 0.0 && top >= 0.0 && to_right <= right && to_bottom <= bottom
+        };
+        let whole = followed.iter().filter(|(_, lips)| inside(lips)).count();
+        let mut wander: Vec<f32> = followed
+            .iter()
+            .map(|(_, lips)| (lips.anchor.0 - anchor.0).hypot(lips.anchor.1 - anchor.1))
+            .collect();
+        wander.sort_by(f32::total_cmp);
+        let found = LipsSeen {
+            looked: looks.len(),
+            seen: followed.len(),
+            whole,
+            wander: wander.get(wander.len() * 19 / 20).copied().unwrap_or(0.0) / mouth.width as f32,
+        };
+        if (whole as f32) < LEAST_WHOLE * followed.len() as f32 {
+            bail!(
+                Data,
+                "the mouth's rectangle is not on the mouth: the lips are whole in {whole} of {} pictures only",
+                followed.len()
+            );
+        }
+        Ok((maps, Some(found)))
     }
 
     /// The clip's mean colours of the registered face, fitted to the speaker's.
     fn clip_colour(&self, view: &View, maps: &[Affine]) -> [ChannelMap; 3] {
-        let seen = view.mean_colours(maps, &self.reference.skin);
+        let seen = view.mean_colours(maps.iter().enumerate(), &self.reference.skin);
         std::array::from_fn(|c| colour::fit(&seen[c], &self.reference.colours[c]))
     }
 }
@@ -145,6 +263,10 @@ impl<'a> View<'a> {
         self.frames.len()
     }
 
+    pub(crate) fn frames(&self) -> &'a Frames {
+        self.frames
+    }
+
     pub(crate) fn colours(&self, index: usize) -> [Plane; 3] {
         colour_planes(self.frames, index, self.factor)
     }
@@ -169,11 +291,15 @@ impl<'a> View<'a> {
         to_view.after(&Affine::scaled(face.side / template_side, face.left, face.top))
     }
 
-    /// Mean colours over the clip (every third picture) at points of the template, `[channel][point]`.
-    pub(crate) fn mean_colours(&self, maps: &[Affine], points: &[(f32, f32)]) -> [Vec<f32>; 3] {
+    /// Mean colours over pictures of the clip (every third of `maps`) at points of the template, `[channel][point]`.
+    pub(crate) fn mean_colours<'m>(
+        &self,
+        maps: impl Iterator<Item = (usize, &'m Affine)>,
+        points: &[(f32, f32)],
+    ) -> [Vec<f32>; 3] {
         let mut sums: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; points.len()]);
         let mut count = 0.0f32;
-        for (index, map) in maps.iter().enumerate().step_by(3) {
+        for (index, map) in maps.step_by(3) {
             let planes = self.colours(index);
             for (plane, sum) in planes.iter().zip(&mut sums) {
                 for (&(x, y), s) in points.iter().zip(sum) {
@@ -188,13 +314,13 @@ impl<'a> View<'a> {
     }
 }
 
-/// Registers every picture of a clip, each from the one before; where that fails, from the face's box.
-pub(crate) fn follow(
+/// Registers every picture of a clip, each from the one before; where that fails, from the face's box. None where the face is lost.
+pub(crate) fn follow_some(
     template: &Template,
     view: &View,
     face: FaceBox,
     detector: &mut Detector,
-) -> Result<(Vec<Affine>, Vec<f32>)> {
+) -> Vec<Option<Registration>> {
     let side = template.side();
     let mut found: Vec<Option<Registration>> = Vec::with_capacity(view.len());
     for index in 0..view.len() {
@@ -215,8 +341,20 @@ pub(crate) fn follow(
         }
         found.push(best.filter(|b| b.score >= LEAST_SCORE));
     }
+    found
+}
+
+/// [`follow_some`] with the gaps filled, and the scores; in error where there are many.
+fn follow(
+    template: &Template,
+    view: &View,
+    face: FaceBox,
+    detector: &mut Detector,
+    most_lost: f32,
+) -> Result<(Vec<Affine>, Vec<f32>)> {
+    let found = follow_some(template, view, face, detector);
     let lost = found.iter().filter(|f| f.is_none()).count();
-    if lost as f32 > MOST_LOST * view.len() as f32 {
+    if lost as f32 > most_lost * view.len() as f32 {
         bail!(
             Data,
             "the face is lost in {lost} of {} pictures (turned away, covered, or another person)",

@@ -16,7 +16,7 @@ mod raw;
 
 pub use ffmpeg::Ffmpeg;
 pub use mp4::{Mp4, Mp4Bytes};
-pub use png::PngFrames;
+pub use png::{PngFrames, write_png};
 pub use raw::RawFrames;
 
 /// Why pictures did not get where they were to go.

@@ -1,10 +1,10 @@
 //! Numbered PNG files in a folder of their own, for editing and compositing programs.
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Film, Sink, SinkError, aside, rename};
-use crate::files::FileError;
+use crate::files::{self, FileError};
 
 /// `000001.png` and so on, in a folder that appears when all are there.
 pub struct PngFrames {
@@ -37,20 +37,34 @@ impl PngFrames {
     }
 }
 
+fn write(to: impl Write, width: u32, height: u32, rgb: &[u8]) -> Result<(), png::EncodingError> {
+    let mut encoder = png::Encoder::new(to, width, height);
+    encoder.set_color(png::ColorType::Rgb);
+    encoder.set_depth(png::BitDepth::Eight);
+    let mut writer = encoder.write_header()?;
+    writer.write_image_data(rgb)?;
+    writer.finish()
+}
+
+/// Writes one picture, rows of R, G, B, whole or not at all.
+///
+/// # Errors
+///
+/// [`FileError`]: what the disk says, or that the bytes are no picture of this size.
+pub fn write_png(path: &Path, width: usize, height: usize, rgb: &[u8]) -> Result<(), FileError> {
+    let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
+    files::write_whole(path, |file| {
+        write(file, side(width), side(height), rgb).map_err(std::io::Error::other)
+    })
+}
+
 impl Sink for PngFrames {
     fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
         self.count += 1;
         let path = self.aside.path().join(format!("{:06}.png", self.count));
-        let write = || -> Result<(), png::EncodingError> {
-            let mut encoder =
-                png::Encoder::new(BufWriter::new(File::create(&path)?), self.width, self.height);
-            encoder.set_color(png::ColorType::Rgb);
-            encoder.set_depth(png::BitDepth::Eight);
-            let mut writer = encoder.write_header()?;
-            writer.write_image_data(rgb)?;
-            writer.finish()
-        };
-        write().map_err(|e| SinkError::Picture {
+        let file = File::create(&path).map_err(png::EncodingError::from);
+        let written = file.and_then(|file| write(BufWriter::new(file), self.width, self.height, rgb));
+        written.map_err(|e| SinkError::Picture {
             picture: self.count,
             folder: self.folder.clone(),
             source: e.into(),

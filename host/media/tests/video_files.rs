@@ -1,0 +1,190 @@
+//! Videos as phones and the web have them, made by ffmpeg and decoded here: their size, their pictures, their colours.
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use lipstream_media::video::{self, Frames, MAX_LINES};
+
+/// A second of a picture whose upper half is red and whose lower half is blue, after these words.
+fn made(folder: &Path, name: &str, size: &str, rate: &str, options: &[&str]) -> PathBuf {
+    let path = folder.join(name);
+    let half = |colour: &str| {
+        let (width, height) = size.split_once('x').unwrap();
+        let height: usize = height.parse().unwrap();
+        format!("color=c={colour}:s={width}x{}:r={rate}:d=1", height / 2)
+    };
+    let output = Command::new("ffmpeg")
+        .args([
+            "-nostdin",
+            "-v",
+            "error",
+            "-y",
+            "-f",
+            "lavfi",
+            "-i",
+            &half("red"),
+            "-f",
+            "lavfi",
+            "-i",
+            &half("blue"),
+        ])
+        .args(["-filter_complex", "[0][1]vstack"])
+        .args(options)
+        .arg(&path)
+        .output()
+        .expect("ffmpeg");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    path
+}
+
+/// The colour in the middle of a part of the picture, given in sixteenths of its sides.
+fn colour(frames: &Frames, x: usize, y: usize) -> [u8; 3] {
+    let middle = frames.frame(frames.len() / 2);
+    let at = (y * frames.height / 16 * frames.width + x * frames.width / 16) * 3;
+    [middle[at], middle[at + 1], middle[at + 2]]
+}
+
+fn is_red([r, g, b]: [u8; 3]) -> bool {
+    r > 200 && g < 60 && b < 60
+}
+
+fn is_blue([r, g, b]: [u8; 3]) -> bool {
+    b > 200 && r < 60 && g < 60
+}
+
+#[test]
+fn every_codec_and_depth_becomes_eight_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let kinds: [(&str, &[&str]); 5] = [
+        (
+            "hevc10.mp4",
+            &[
+                "-c:v",
+                "libx265",
+                "-x265-params",
+                "log-level=error",
+                "-pix_fmt",
+                "yuv420p10le",
+            ],
+        ),
+        ("h264.mp4", &["-c:v", "libx264", "-pix_fmt", "yuv420p"]),
+        ("h264-10.mkv", &["-c:v", "libx264", "-pix_fmt", "yuv422p10le"]),
+        ("vp9.webm", &["-c:v", "libvpx-vp9"]),
+        ("av1.mkv", &["-c:v", "libaom-av1", "-cpu-used", "8"]),
+    ];
+    for (name, options) in kinds {
+        let frames = video::decode(&made(folder.path(), name, "320x240", "30", options)).unwrap();
+        assert_eq!(
+            (frames.width, frames.height, frames.len()),
+            (320, 240, 30),
+            "{name}"
+        );
+        assert_eq!(frames.rgb.len(), 320 * 240 * 3 * 30);
+        assert!(
+            is_red(colour(&frames, 8, 2)) && is_blue(colour(&frames, 8, 14)),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn phones_films_stand_upright_and_keep_their_detail() {
+    let folder = tempfile::tempdir().unwrap();
+    // Filmed lying, to be turned by a quarter.
+    let lying = made(
+        folder.path(),
+        "lying.mp4",
+        "640x360",
+        "30",
+        &["-c:v", "libx264", "-pix_fmt", "yuv420p"],
+    );
+    let turned = folder.path().join("turned.mp4");
+    let output = Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-i"])
+        .arg(&lying)
+        .args(["-c", "copy", "-metadata:s:v:0", "rotate=90"])
+        .arg(&turned)
+        .output()
+        .unwrap();
+    assert!(output.status.success());
+    let frames = video::decode(&turned).unwrap();
+    if (frames.width, frames.height) != (640, 360) {
+        // From ffmpeg 7 on the old word for turning is not written any more.
+        assert_eq!((frames.width, frames.height), (360, 640));
+        let (left, right) = (colour(&frames, 2, 8), colour(&frames, 14, 8));
+        assert!(is_red(left) && is_blue(right) || is_blue(left) && is_red(right));
+    }
+    // The shorter side is what is limited: a standing picture is not made three times smaller than a lying one.
+    for (size, want) in [
+        ("1080x1920", (576, 1024)),
+        ("1920x1080", (1024, 576)),
+        ("576x1024", (576, 1024)),
+        ("360x288", (360, 288)),
+    ] {
+        let path = made(
+            folder.path(),
+            &format!("{size}.mp4"),
+            size,
+            "30",
+            &["-c:v", "libx264", "-preset", "ultrafast", "-pix_fmt", "yuv420p"],
+        );
+        let frames = video::decode(&path).unwrap();
+        assert_eq!((frames.width, frames.height), want, "{size}");
+        assert!(frames.width.min(frames.height) <= MAX_LINES);
+    }
+}
+
+#[test]
+fn any_rate_is_kept_and_a_changing_one_made_even() {
+    let folder = tempfile::tempdir().unwrap();
+    let h264 = ["-c:v", "libx264", "-pix_fmt", "yuv420p"];
+    for (rate, hz, count) in [("24000/1001", 23.976, 24), ("25", 25.0, 25), ("60", 60.0, 60)] {
+        let frames = video::decode(&made(folder.path(), "rate.mp4", "160x120", rate, &h264)).unwrap();
+        assert!(
+            (frames.rate_hz - hz).abs() < 0.01 && frames.len().abs_diff(count) <= 1,
+            "{rate}: {}",
+            frames.len()
+        );
+    }
+    // Half of the pictures of the second half are missing, as phones do in bad light.
+    let uneven = folder.path().join("uneven.mkv");
+    let output = Command::new("ffmpeg")
+        .args([
+            "-nostdin",
+            "-v",
+            "error",
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc=s=160x120:r=30:d=2",
+        ])
+        .args([
+            "-vf",
+            "select='lt(t,1)+mod(n,2)'",
+            "-vsync",
+            "vfr",
+            "-c:v",
+            "libx264",
+            "-pix_fmt",
+            "yuv420p",
+        ])
+        .arg(&uneven)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let frames = video::decode(&uneven).unwrap();
+    let seconds = frames.len() as f32 / frames.rate_hz;
+    assert!(
+        (seconds - 2.0).abs() < 0.1,
+        "{} pictures at {} Hz",
+        frames.len(),
+        frames.rate_hz
+    );
+}
