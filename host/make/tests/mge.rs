@@ -9,7 +9,7 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::chain::VISUAL;
 use lipstream::kinds::recurrent::live;
 use lipstream::kinds::recurrent::model::RecurrentModel;
-use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate};
+use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group};
 use lipstream::kinds::recurrent::settle::settle;
 use lipstream::kinds::recurrent::step::Net;
 use lipstream::synthetic::{self, Sizes};
@@ -17,6 +17,7 @@ use lipstream_core::kinds::Convert;
 use lipstream_core::kinds::recurrent::Converter;
 use lipstream_core::logmath::LogProb;
 use lipstream_core::{Model as Tables, ParameterFrame, StreamSettings};
+use lipstream_make::mge::adapt;
 use lipstream_make::mge::data::{Clip, Data};
 use lipstream_make::mge::judge::{centred, judge};
 use lipstream_make::mge::pass::{Masks, Tape};
@@ -141,6 +142,79 @@ fn a_made_up_talker_is_learnt() {
             seen.share(seen.visemes)
         );
     }
+}
+
+/// Another person says as much with a mouth of its own: what hears stays as it is, bit for bit, and the mouth is learnt from a few clips without
+/// their states.
+#[test]
+fn a_new_mouth_is_learnt_for_the_old_ears() {
+    let parent = parent();
+    let old = data(&parent);
+    let model = quietly(&old, &parent, &small(), None);
+    // Every parameter of the new mouth is a mixture of the old one's.
+    let mut rng = Pcg64::seed_from_u64(31);
+    let mixture = Array2::from_shape_fn((OUTPUTS, OUTPUTS), |_| rng.random_range(-1.0f32..1.0));
+    let others = |store: &Store| {
+        let other = |mut clip: Clip| {
+            clip.mouth = clip.mouth.map(|mouth| mouth.dot(&mixture));
+            clip.states = vec![(0, 0); clip.x.nrows()];
+            clip
+        };
+        every(store).map(other).collect::<Vec<_>>()
+    };
+    let new = Data {
+        train: stored(others(&old.train)[..10].to_vec()),
+        heard: Store::new(None).unwrap(),
+        validation: stored(others(&old.validation)),
+        scale: old.scale.clone(),
+        deviation: old.deviation.clone(),
+    };
+    let mut settings = adapt::settings(
+        &model,
+        &MgeTrainSettings {
+            batch: 2,
+            passes: 20,
+            ..small()
+        },
+    );
+    settings.rule.rate = 0.02;
+    let adapted = adapt::adapt_on(&new, &model, &parent, &settings, None, &()).unwrap();
+    let acc = |model: &RecurrentModel, data: &Data| {
+        let chain = model.chain();
+        let parameters = &model.parameters;
+        let seen = judge(
+            parameters,
+            &chain,
+            &model.context_mean,
+            &model.deviation,
+            &data.validation,
+            8,
+            model.least,
+        );
+        seen.unwrap().score.acc()
+    };
+    let (own, before, after) = (acc(&model, &old), acc(&model, &new), acc(&adapted, &new));
+    println!(
+        "ACC of the old mouth {own:.3}; of the new one by the old model {before:.3}, adapted {after:.3}"
+    );
+    assert!(after > before + 0.3 && after > own - 0.15);
+    for group in GROUPS {
+        let stays = !matches!(
+            group,
+            Group::Visual
+                | Group::Global
+                | Group::GlobalBias
+                | Group::AudioOffset
+                | Group::VisualOffset
+                | Group::Output
+        );
+        let same = adapted.parameters.of(group) == model.parameters.of(group);
+        assert!(same || !stays, "{} has changed", group.name());
+    }
+    assert_eq!(
+        (&adapted.scale, &adapted.context_mean),
+        (&model.scale, &model.context_mean)
+    );
 }
 
 #[test]

@@ -117,16 +117,36 @@ impl Frames {
     }
 }
 
+/// A part of a video.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Part {
+    /// Where it begins, seconds.
+    pub begins_s: f64,
+    /// How long it is.
+    pub seconds: f64,
+}
+
 /// All pictures of a video at its own rate, upright, square pixels, the shorter side at most [`MAX_LINES`].
 pub fn decode(path: &Path) -> Result<Frames> {
+    decode_part(path, None)
+}
+
+/// [`decode`], of a part of it where one is given.
+pub fn decode_part(path: &Path, part: Option<Part>) -> Result<Frames> {
     let rate = picture_rate(path)?;
     // What stands upright, as phones film, has its shorter side across.
     let smaller = format!("min(1,{MAX_LINES}/min(iw*sar,ih))");
     let filter = format!(
         "fps={rate}:start_time=0,scale=w='trunc(iw*sar*{smaller}/2+0.5)*2':h='if(lt({smaller},1),trunc(ih*{smaller}/2+0.5)*2,ih)',setsar=1"
     );
+    let times = part.map_or(Vec::new(), |part| {
+        let (begins, seconds) = (format!("{:.4}", part.begins_s), format!("{:.4}", part.seconds));
+        vec!["-ss".to_owned(), begins, "-t".to_owned(), seconds]
+    });
     let mut child = program("ffmpeg")
-        .args(["-nostdin", "-v", "error", "-i"])
+        .args(["-nostdin", "-v", "error"])
+        .args(times)
+        .arg("-i")
         .arg(as_input(path))
         .args(["-map", "0:v:0", "-an", "-sn", "-vf", &filter])
         .args([

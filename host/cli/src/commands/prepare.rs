@@ -14,10 +14,10 @@ use lipstream_make::corpus::{self, PrepareSettings, Summary};
 /// (TIMIT), .lab (HTK), .TextGrid (Praat) or .txt (a plain transcript). Folders called train, val and test are
 /// splits; other folders are speakers; clips without either are each their own speaker. Where no folder says so,
 /// speakers are dealt out by their names: a tenth for the test, a tenth for validation. An interrupted run
-/// continues when it is started again.
+/// continues when it is started again. DIR/sheet.png shows mouths of every clip.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the corpus
+    /// Folder of the corpus, or one video of somebody who speaks: it is cut at its pauses
     corpus: PathBuf,
     /// Folder for the features; new, or from an earlier run
     #[arg(short, long, value_name = "DIR")]

@@ -6,8 +6,8 @@ use anyhow::{Context as _, Result, bail};
 use super::train_mge;
 use super::train_shards::{self, Shards};
 use crate::progress::Terminal;
+use lipstream::engine::FloatModel;
 use lipstream::hmm::system::{SYSTEMS, System};
-use lipstream::kinds::likelihood::Model;
 use lipstream_make::align;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train::resume::Resume;
@@ -137,11 +137,16 @@ fn whole(args: Args) -> Result<()> {
     match args.method {
         Method::Likelihood => by_likelihood()?.write(output)?,
         Method::Mge => {
-            let parent = match &args.mge.from {
-                Some(path) => Model::read(path)?,
-                None => by_likelihood()?,
+            let from = args.mge.from.as_deref().map(FloatModel::read).transpose()?;
+            let from = match from {
+                None => train_mge::From::Likelihood(Box::new(by_likelihood()?)),
+                Some(FloatModel::Likelihood(parent)) => train_mge::From::Likelihood(parent),
+                Some(FloatModel::Recurrent(model)) if heard.is_empty() => train_mge::From::Recurrent(model),
+                Some(FloatModel::Recurrent(_)) => {
+                    bail!("a model that is adapted goes on hearing as it does: leave out --audio-only")
+                }
             };
-            train_mge::run(&args.mge, &folder, &heard, &parent, args.clips, args.seed, output)?;
+            train_mge::run(&args.mge, &folder, &heard, &from, args.clips, args.seed, output)?;
         }
     }
     settings.resume.finish()?;

@@ -7,7 +7,9 @@ use super::choices;
 use crate::progress::Terminal;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::context::Context;
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream_make::features::FeatureFolder;
+use lipstream_make::mge::adapt::adapt;
 use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::train::train;
 
@@ -16,7 +18,8 @@ use lipstream_make::mge::train::train;
 #[command(next_help_heading = "With --train mge")]
 #[group(skip)]
 pub(crate) struct Args {
-    /// Likelihood-trained model to start from [default: it is trained first]
+    /// Model to start from: one trained by likelihood [default: it is trained first], or one trained on the error of its mouth, such as the shipped
+    /// one, which goes on hearing as it does and gets the new mouth: a minute of video or two, no labels
     #[arg(long, value_name = "MODEL.safetensors")]
     pub(crate) from: Option<PathBuf>,
     /// Passes over the clips with video
@@ -124,12 +127,20 @@ impl Args {
     }
 }
 
-/// Trains from `parent` and writes `output`; the checkpoint lies beside it while training lasts.
+/// What training starts from.
+pub(crate) enum From {
+    /// A likelihood-trained model.
+    Likelihood(Box<Model>),
+    /// A model whose mouth is learnt anew.
+    Recurrent(Box<RecurrentModel>),
+}
+
+/// Trains from a model and writes `output`; the checkpoint lies beside it while training lasts.
 pub(crate) fn run(
     args: &Args,
     folder: &FeatureFolder,
     heard: &[FeatureFolder],
-    parent: &Model,
+    from: &From,
     clips: Option<usize>,
     seed: u64,
     output: &Path,
@@ -149,7 +160,10 @@ pub(crate) fn run(
     }
     let settings = args.settings(clips, seed);
     let progress = Terminal::default();
-    let model = train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?;
+    let model = match from {
+        From::Likelihood(parent) => train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?,
+        From::Recurrent(model) => adapt(folder, model, &settings, Some(&checkpoint), &progress)?,
+    };
     model.write(output)?;
     remove()
 }

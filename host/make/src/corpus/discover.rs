@@ -14,6 +14,7 @@ use std::path::{Component, Path, PathBuf};
 use super::labels;
 use crate::error::{Context as _, Result, bail};
 use crate::features::Split;
+use lipstream_media::video::Part;
 
 /// Extensions of video files; their sound comes with them, or from a sound file beside them.
 pub const VIDEO: [&str; 12] = [
@@ -47,6 +48,8 @@ pub struct ClipFiles {
     pub split: Split,
     /// The video file, if there is one.
     pub video: Option<PathBuf>,
+    /// The part of the video that is the clip, where it is not the whole.
+    pub part: Option<Part>,
     /// Sound apart from the video; the video's own sound is used when there is none.
     pub sound: Option<PathBuf>,
     /// Label files of the clip; empty where it has none.
@@ -151,6 +154,7 @@ pub fn discover(root: &Path, without: Option<&Path>, options: &Options) -> Resul
                 speaker,
                 split: group.split.unwrap_or(Split::Train),
                 video: group.video,
+                part: None,
                 sound,
                 labels: group.labels,
                 stem: group.stem,
@@ -268,7 +272,7 @@ fn split_name(folder: &str) -> Option<Split> {
 }
 
 /// A name without anything that a file system could trip over.
-fn safe(name: &str) -> String {
+pub(super) fn safe(name: &str) -> String {
     let keep = |c: char| {
         if c.is_ascii_alphanumeric() || "-_.".contains(c) {
             c
@@ -323,7 +327,7 @@ fn percentile(name: &str) -> u32 {
 /// Settles every clip's split. Without folders and options: by speaker where there are at least five, by clip
 /// where there are at least ten of fewer speakers, else everything is for training. Speakers or clips are put in
 /// the order of a hash of their names; the first tenth (at least one) is for the test, the next for validation.
-fn deal(clips: &mut [ClipFiles], from_folders: bool, options: &Options) -> Result<SplitBy> {
+pub(super) fn deal(clips: &mut [ClipFiles], from_folders: bool, options: &Options) -> Result<SplitBy> {
     if options.all_train {
         clips.iter_mut().for_each(|c| c.split = Split::Train);
         return Ok(SplitBy::AllTrain);

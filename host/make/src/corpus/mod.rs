@@ -8,6 +8,7 @@ pub mod pronounce;
 mod sheet;
 mod stamp;
 pub mod summary;
+mod take;
 mod visual;
 
 pub use prepare::{PrepareSettings, prepare};

@@ -13,6 +13,7 @@ use super::labels::{self, Labels, SpokenWord, transcript};
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
 use super::summary::{self, Summary};
+use super::take;
 use super::visual;
 use crate::error::{Context as _, Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
@@ -101,7 +102,14 @@ impl Prepared {
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
 pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
-    let found = discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?;
+    // A folder that is not ours is refused before anything is written to it.
+    let found = match settings.corpus.is_file() {
+        true => {
+            claim(&settings.out, settings.fresh)?;
+            take::cut(&settings.corpus, &settings.out, &settings.clips, progress)?
+        }
+        false => discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?,
+    };
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
     let decodes =
         |c: &ClipFiles| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());

@@ -10,6 +10,7 @@ use std::sync::OnceLock;
 use ndarray::Array4;
 use rayon::prelude::*;
 
+use super::discover::ClipFiles;
 use super::prepare::{PrepareSettings, Prepared, reason};
 use super::sheet;
 use super::stamp::{self, Notes};
@@ -21,7 +22,7 @@ use lipstream::npy;
 use lipstream::progress::{Progress, Steps};
 use lipstream::tensors::{Tensors, TensorsBuilder};
 use lipstream_media::files;
-use lipstream_media::video;
+use lipstream_media::video::{self, Frames};
 
 /// Changes when the same video gives other mouth images.
 const MOUTHS_VERSION: u32 = 2;
@@ -93,7 +94,7 @@ impl Seen {
 /// A speaker with video: his clips, those that his face is learnt from, and what says so.
 struct Face<'a> {
     clips: Vec<usize>,
-    reference: Vec<&'a Path>,
+    reference: Vec<&'a ClipFiles>,
     stamp: Stamp,
     tracker: OnceLock<Result<Tracker, String>>,
 }
@@ -153,6 +154,21 @@ fn video_path(prepared: &Prepared) -> &Path {
     prepared.source.video.as_deref().unwrap_or(Path::new(""))
 }
 
+/// The pictures of a clip.
+fn decode(source: &ClipFiles) -> Result<Frames> {
+    let path = source.video.as_deref().unwrap_or(Path::new(""));
+    video::decode_part(path, source.part).map_err(Error::other)
+}
+
+/// What vouches for a clip's video: the file, and which part of it.
+fn video_stamp(source: &ClipFiles) -> Result<String> {
+    let file = stamp::of_file(source.video.as_deref().unwrap_or(Path::new("")))?;
+    Ok(match source.part {
+        Some(part) => format!("{file} {:.4}+{:.4}", part.begins_s, part.seconds),
+        None => file,
+    })
+}
+
 /// Writes the contact sheet, and says how surely the mouths are mouths.
 fn show(clips: &[(String, Seen)], out: &Path, progress: &dyn Progress) -> Result<()> {
     let mut rows = Vec::new();
@@ -179,7 +195,7 @@ fn show(clips: &[(String, Seen)], out: &Path, progress: &dyn Progress) -> Result
         let mut wander: Vec<f32> = judged().map(|lips| lips.wander).collect();
         wander.sort_by(f32::total_cmp);
         progress.say(&format!(
-            "lips are whole in {:.1} % of {all} pictures looked at, in {} clips; they wander by {:.1} % of the mouth's width (95th percentile of the              middle clip); sheet.png shows every clip's mouths",
+            "lips are whole in {:.1} % of {all} pictures looked at, in {} clips, and wander by {:.1} % of the mouth's width; look at sheet.png",
             100.0 * whole as f64 / f64::from(all as u32),
             judged().count(),
             100.0 * wander[wander.len() / 2],
@@ -254,12 +270,12 @@ fn faces(clips: &[Prepared]) -> Result<Vec<Face<'_>>> {
             training.retain(|i| clips[*i].clip.split == Split::Train);
             let from = if training.is_empty() { &of } else { &training };
             let count = from.len().min(REFERENCE_CLIPS);
-            let reference: Vec<&Path> = (0..count)
-                .map(|k| video_path(&clips[from[(2 * k + 1) * from.len() / (2 * count)]]))
+            let reference: Vec<&ClipFiles> = (0..count)
+                .map(|k| &clips[from[(2 * k + 1) * from.len() / (2 * count)]].source)
                 .collect();
             let parts: Vec<String> = reference
                 .iter()
-                .map(|p| stamp::of_file(p))
+                .map(|source| video_stamp(source))
                 .collect::<Result<_>>()?;
             Ok(Face {
                 clips: of,
@@ -275,8 +291,8 @@ impl Face<'_> {
     /// The speaker's tracker, learnt when the first clip needs it.
     fn tracker(&self) -> Result<&Tracker> {
         let learn = || -> Result<Tracker> {
-            let thinned = |path: &&Path| {
-                let frames = video::decode(path).map_err(Error::other)?;
+            let thinned = |source: &&ClipFiles| {
+                let frames = decode(source)?;
                 Ok(frames.thinned((frames.len() * self.reference.len() / REFERENCE_PICTURES).max(1)))
             };
             let mut clips = Vec::new();
@@ -312,7 +328,7 @@ fn tracked(
 ) -> Result<(Stamp, Option<Seen>)> {
     let id = &prepared.clip.id;
     let size = size.map_or("own".into(), |(w, h)| format!("{w}x{h}"));
-    let stamp = format!("{} {} {size}", stamp::of_file(video_path(prepared))?, face.stamp);
+    let stamp = format!("{} {} {size}", video_stamp(&prepared.source)?, face.stamp);
     let path = mouths_path(out, id);
     let Some(noted) = Notes::new(out, id).vouched("mouths", &stamp, &path) else {
         return Ok((stamp, None));
@@ -331,7 +347,6 @@ fn track_one(
     out: &Path,
 ) -> Result<(Seen, Stamp)> {
     let id = &prepared.clip.id;
-    let from = video_path(prepared);
     let path = mouths_path(out, id);
     let (stamp, done) = tracked(prepared, face, size, out)?;
     if let Some(seen) = done {
@@ -340,7 +355,7 @@ fn track_one(
     let notes = Notes::new(out, id);
     notes.forget("mouths");
     let tracker = face.tracker()?;
-    let frames = video::decode(from).map_err(Error::other)?;
+    let frames = decode(&prepared.source)?;
     let pictures_s = frames.len() as f64 / f64::from(frames.rate_hz);
     if (pictures_s - prepared.seconds).abs() > LENGTHS_DIFFER_S {
         bail!(
@@ -542,6 +557,7 @@ mod tests {
                     speaker: "s".into(),
                     split: if i == 2 { Split::Test } else { Split::Train },
                     video: Some(video),
+                    part: None,
                     sound: None,
                     labels: Vec::new(),
                     stem: format!("c{i}"),

@@ -60,6 +60,31 @@ pub fn read(
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
+    read_with(folder, audio_only, parent, None, settings, aside, progress)
+}
+
+/// Reads a folder for a model that goes on hearing as it does: the statics have its `scale`, and nothing is aligned, since only the mouth is to
+/// learn. Labels are not needed.
+pub fn read_to_adapt(
+    folder: &FeatureFolder,
+    parent: &Model,
+    scale: &[f32],
+    settings: &MgeTrainSettings,
+    aside: Option<&Path>,
+    progress: &dyn Progress,
+) -> Result<Data> {
+    read_with(folder, &[], parent, Some(scale), settings, aside, progress)
+}
+
+fn read_with(
+    folder: &FeatureFolder,
+    audio_only: &[FeatureFolder],
+    parent: &Model,
+    adapts: Option<&[f32]>,
+    settings: &MgeTrainSettings,
+    aside: Option<&Path>,
+    progress: &dyn Progress,
+) -> Result<Data> {
     if folder.manifest.visual_size != parent.visual_size() {
         bail!(
             Choice,
@@ -89,7 +114,10 @@ pub fn read(
             Ok(())
         },
     )?;
-    let scale: Vec<f32> = sound.deviations().map(|d| 1.0 / d).collect();
+    let scale: Vec<f32> = match adapts {
+        Some(scale) => scale.to_vec(),
+        None => sound.deviations().map(|d| 1.0 / d).collect(),
+    };
     let deviation: Vec<f32> = mouth.deviations().collect();
     let hmm = HmmParameters {
         topology: Topology::PH_VI_CHMM,
@@ -99,7 +127,7 @@ pub fn read(
         transition: parent.transition.clone(),
     };
     let reader = Reader {
-        aligner: Aligner::new(&hmm),
+        aligner: adapts.is_none().then(|| Aligner::new(&hmm)),
         babble: match (settings.variants, audio_only) {
             (0, _) => Vec::new(),
             (_, []) => voices(folder)?,
@@ -145,7 +173,8 @@ fn hold_out_and_draw<'a>(train: &mut Clips<'a>, settings: &MgeTrainSettings) -> 
 
 /// Makes clips of utterances.
 struct Reader<'a> {
-    aligner: Aligner<'a>,
+    /// None where nothing is aligned: then every frame has the first states.
+    aligner: Option<Aligner<'a>>,
     /// Sounds that babble.
     babble: Vec<Vec<i16>>,
     scale: &'a [f32],
@@ -167,7 +196,11 @@ impl Reader<'_> {
         } = self;
         let work = |n: usize| {
             let u = clips.get(n)?.into_owned();
-            let Some(states) = aligner.path(&u) else {
+            let states = match aligner {
+                Some(aligner) => aligner.path(&u),
+                None => Some(vec![(0, 0); u.audio.nrows()]),
+            };
+            let Some(states) = states else {
                 return Ok(Err(u.id));
             };
             let variants = disturbed(folder, &u, babble, scale, variants, *seed)?;

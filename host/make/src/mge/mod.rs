@@ -2,6 +2,7 @@
 //!
 //! What is trained is [`lipstream::kinds::recurrent`]; here are the pass with a tape, its gradient (`reverse`), the loss (M10 of
 //! `docs/models.md`, [`train`]) and the data, disturbed in many ways.
+pub mod adapt;
 mod batch;
 pub mod checkpoint;
 pub mod data;

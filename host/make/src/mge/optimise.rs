@@ -18,6 +18,8 @@ pub struct Rule {
     pub average: f32,
     /// Multiplies the rate of the transitions and of the first phone; 0 leaves them as likelihood training made them.
     pub transition_rate: f32,
+    /// The groups that learn; all where `None`.
+    pub only: Option<&'static [Group]>,
 }
 
 impl Default for Rule {
@@ -30,6 +32,7 @@ impl Default for Rule {
             decay: 0.003,
             average: 0.98,
             transition_rate: 0.0,
+            only: None,
         }
     }
 }
@@ -80,7 +83,12 @@ impl Optimiser {
 
     /// One step against `gradient`; returns the gradient's length before it was cut, or `None` if it is not finite.
     pub fn step(&mut self, rule: &Rule, gradient: &Parameters) -> Option<f32> {
-        let square: f64 = gradient.values.iter().map(|g| f64::from(*g).powi(2)).sum();
+        let learns = |group: &Group| rule.only.is_none_or(|only| only.contains(group));
+        let learning = GROUPS.iter().filter(|group| learns(group));
+        let square: f64 = learning
+            .flat_map(|group| gradient.of(*group))
+            .map(|g| f64::from(*g).powi(2))
+            .sum();
         let length = square.sqrt() as f32;
         if !length.is_finite() {
             return None;
@@ -98,6 +106,10 @@ impl Optimiser {
         let mut at = 0;
         for group in GROUPS {
             let n = gradient.of(group).len();
+            if !learns(&group) {
+                at += n;
+                continue;
+            }
             let own = match group {
                 Group::Transition | Group::Initial => rule.transition_rate,
                 _ => group.rate(),

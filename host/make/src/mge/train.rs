@@ -71,6 +71,20 @@ pub fn train_on(
         maps: settings.maps,
         rates: settings.rates,
     };
+    let start = || begin(&shape, data, parent, settings);
+    run(data, parent, &shape, &start, settings, checkpoint_path, progress)
+}
+
+/// The loop, from what `start` gives: parameters and the contexts' mean.
+pub(super) fn run(
+    data: &Data,
+    parent: &Model,
+    shape: &Shape,
+    start: &dyn Fn() -> Result<(Parameters, Vec<f32>)>,
+    settings: &MgeTrainSettings,
+    checkpoint_path: Option<&Path>,
+    progress: &dyn Progress,
+) -> Result<RecurrentModel> {
     let powers: Vec<f32> = data
         .deviation
         .iter()
@@ -90,9 +104,9 @@ pub fn train_on(
         warm_up: settings.rule.warm_up.min(steps / 4),
         ..settings.rule.clone()
     };
-    let run = fingerprint(settings, data)?;
+    let fingerprint = fingerprint(settings, data)?;
     let found = match checkpoint_path {
-        Some(path) => checkpoint::read(path, &shape, run)?,
+        Some(path) => checkpoint::read(path, shape, fingerprint)?,
         None => None,
     };
     let (mut optimiser, mut best) = match found {
@@ -102,7 +116,7 @@ pub fn train_on(
             (optimiser, best)
         }
         None => {
-            let (parameters, mean) = begin(&shape, data, parent, settings)?;
+            let (parameters, mean) = start()?;
             trainer.context_mean = mean;
             let best = Best {
                 error: f64::INFINITY,
@@ -151,7 +165,7 @@ pub fn train_on(
                 begun.elapsed().as_secs_f32()
             ));
             if let Some(path) = checkpoint_path {
-                checkpoint::write(path, &optimiser, &best, &trainer.context_mean, run)?;
+                checkpoint::write(path, &optimiser, &best, &trainer.context_mean, fingerprint)?;
             }
             begun = Instant::now();
             (error, entropy, length, count) = (0.0, 0.0, 0.0, 0);

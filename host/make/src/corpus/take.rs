@@ -1,0 +1,234 @@
+//! One long take as a corpus: cut at its pauses into pieces of some seconds.
+use std::path::{Path, PathBuf};
+
+use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
+use lipstream_media::sound;
+use lipstream_media::video::{self, Part};
+
+use super::discover::{ClipFiles, Found, Options, deal, safe};
+use crate::error::{Context as _, Error, Result, bail};
+use crate::features::Split;
+use lipstream::progress::Progress;
+
+/// Seconds of a piece, at least and at most.
+const SHORTEST_S: f64 = 2.0;
+const LONGEST_S: f64 = 8.0;
+/// A pause is so long, in hops of 10 ms.
+const PAUSE: usize = 15;
+/// Where speech begins, between the quietest and the loudest tenth (the decibels of their borders).
+const SPEECH: f32 = 0.4;
+/// Quiet and loud must differ by so many decibels, or nothing in it is a pause.
+const LEAST_RANGE_DB: f32 = 10.0;
+/// A piece with less speech than this is left out, in hops.
+const LEAST_SPEECH: usize = 40;
+
+/// A piece in hops: from, to, and whether there is speech in it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Piece {
+    from: usize,
+    to: usize,
+    speech: bool,
+}
+
+/// Cuts a video, writes the sound of every piece to `out`, and deals the pieces out.
+///
+/// # Errors
+///
+/// That it has no sound or no speech, and what the disk says.
+pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Progress) -> Result<Found> {
+    video::available().map_err(Error::other)?;
+    let bytes = video::decode_sound(take).map_err(Error::other)?;
+    let samples = sound::decode(&bytes).map_err(Error::other)?.samples;
+    let pieces = pieces(&samples);
+    let spoken: Vec<Piece> = pieces.iter().copied().filter(|piece| piece.speech).collect();
+    if spoken.is_empty() {
+        bail!(
+            Data,
+            "no speech is heard in {}: nothing in it is louder than the rest",
+            take.display()
+        );
+    }
+    let stem = take
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    let folder = out.join("take");
+    std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
+    let mut clips = Vec::new();
+    for (number, piece) in (1..).zip(&spoken) {
+        let id = format!("{}-{number:04}", safe(&stem));
+        let path = folder.join(format!("{id}.wav"));
+        let of = &samples[piece.from * HOP_SAMPLES..(piece.to * HOP_SAMPLES).min(samples.len())];
+        write_if_other(&path, of)?;
+        let seconds = |hops: usize| hops as f64 * HOP_SAMPLES as f64 / f64::from(SAMPLE_RATE_HZ);
+        clips.push(ClipFiles {
+            id,
+            speaker: stem.clone(),
+            split: Split::Train,
+            video: Some(take.to_owned()),
+            part: Some(Part {
+                begins_s: seconds(piece.from),
+                seconds: of.len() as f64 / f64::from(SAMPLE_RATE_HZ),
+            }),
+            sound: Some(path),
+            labels: Vec::new(),
+            stem: String::new(),
+        });
+    }
+    let seconds = |of: &[Piece]| of.iter().map(|p| (p.to - p.from) as f64 / 100.0).sum::<f64>();
+    progress.say(&format!(
+        "{}: {} pieces, {:.0} s; {:.0} s without speech left out",
+        take.display(),
+        spoken.len(),
+        seconds(&spoken),
+        seconds(&pieces) - seconds(&spoken)
+    ));
+    for beside in ["txt", "srt", "vtt"].map(|ending| take.with_extension(ending)) {
+        if beside.is_file() {
+            progress.say(&format!(
+                "{} is not read: a text is not yet cut with its take; cut into clips with a .txt beside each, it would be",
+                beside.display()
+            ));
+        }
+    }
+    let split_by = deal(&mut clips, false, options)?;
+    Ok(Found {
+        clips,
+        left_alone: Vec::<PathBuf>::new(),
+        split_by,
+    })
+}
+
+/// Leaves a file alone that holds these samples already, so that what was made of it still holds.
+fn write_if_other(path: &Path, samples: &[i16]) -> Result<()> {
+    if sound::read(path).is_ok_and(|there| there.samples == samples) {
+        return Ok(());
+    }
+    sound::write(path, samples).map_err(Error::other)
+}
+
+/// Decibels of every whole hop.
+fn levels(samples: &[i16]) -> Vec<f32> {
+    let power = |hop: &[i16]| hop.iter().map(|s| f32::from(*s).powi(2)).sum::<f32>() / hop.len() as f32;
+    samples
+        .chunks_exact(HOP_SAMPLES)
+        .map(|hop| 10.0 * (power(hop) + 1.0).log10())
+        .collect()
+}
+
+/// Which hops have speech in them: those louder than part of the way from quiet to loud.
+fn speech(levels: &[f32]) -> Vec<bool> {
+    let mut sorted = levels.to_vec();
+    sorted.sort_by(f32::total_cmp);
+    let at = |tenth: usize| sorted.get(sorted.len() * tenth / 10).copied().unwrap_or(0.0);
+    let (quiet, loud) = (at(1), at(9));
+    let border = quiet + SPEECH * (loud - quiet);
+    match loud - quiet < LEAST_RANGE_DB {
+        // All alike: either nobody speaks, or nobody pauses.
+        true => vec![loud > 40.0; levels.len()],
+        false => levels.iter().map(|level| *level > border).collect(),
+    }
+}
+
+/// Pieces that cover the sound, cut in the middle of the longest pause that comes in time; where none does, at the quietest hop.
+fn pieces(samples: &[i16]) -> Vec<Piece> {
+    let levels = levels(samples);
+    let speech = speech(&levels);
+    let hops = |seconds: f64| (seconds * f64::from(SAMPLE_RATE_HZ) / HOP_SAMPLES as f64) as usize;
+    let (shortest, longest) = (hops(SHORTEST_S), hops(LONGEST_S));
+    // Pauses: middle and length.
+    let mut pauses = Vec::new();
+    let mut quiet_from = None;
+    for (hop, speaks) in speech.iter().copied().chain([true]).enumerate() {
+        match (speaks, quiet_from) {
+            (false, None) => quiet_from = Some(hop),
+            (true, Some(from)) => {
+                if hop - from >= PAUSE {
+                    pauses.push(((from + hop) / 2, hop - from));
+                }
+                quiet_from = None;
+            }
+            _ => {}
+        }
+    }
+    let (mut pieces, mut from) = (Vec::new(), 0);
+    while from < levels.len() {
+        let to = if levels.len() - from <= longest {
+            levels.len()
+        } else {
+            let window = from + shortest..from + longest;
+            let pause = pauses
+                .iter()
+                .filter(|(middle, _)| window.contains(middle))
+                .max_by_key(|(_, length)| *length);
+            let quietest = window.clone().min_by(|a, b| levels[*a].total_cmp(&levels[*b]));
+            pause
+                .map(|(middle, _)| *middle)
+                .or(quietest)
+                .unwrap_or(levels.len())
+        };
+        let spoken = speech[from..to].iter().filter(|s| **s).count();
+        pieces.push(Piece {
+            from,
+            to,
+            speech: spoken >= LEAST_SPEECH,
+        });
+        from = to;
+    }
+    pieces
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Noise of a level for some seconds.
+    fn noise(level: f32, seconds: f32) -> Vec<i16> {
+        let count = (seconds * SAMPLE_RATE_HZ as f32) as usize;
+        (0..count)
+            .map(|n| (level * ((n * n * 7919 % 2003) as f32 / 1001.5 - 1.0)) as i16)
+            .collect()
+    }
+
+    fn spoken(parts: &[(f32, f32)]) -> Vec<i16> {
+        parts
+            .iter()
+            .flat_map(|(level, seconds)| noise(*level, *seconds))
+            .collect()
+    }
+
+    #[test]
+    fn cuts_lie_in_pauses_and_pieces_are_of_some_seconds() {
+        let mut parts = Vec::new();
+        for k in 0..12 {
+            parts.extend([(4000.0, 1.7 + 0.2 * k as f32), (20.0, 0.3)]);
+        }
+        let samples = spoken(&parts);
+        let pieces = pieces(&samples);
+        assert!(pieces.len() >= 5 && pieces.iter().all(|p| p.speech));
+        assert_eq!(
+            (pieces[0].from, pieces.last().unwrap().to),
+            (0, samples.len() / HOP_SAMPLES)
+        );
+        let levels = levels(&samples);
+        for pair in pieces.windows(2) {
+            assert_eq!(pair[0].to, pair[1].from);
+            assert!(levels[pair[0].to] < 35.0, "cut at {} in speech", pair[0].to);
+            assert!((200..=800).contains(&(pair[0].to - pair[0].from)));
+        }
+    }
+
+    #[test]
+    fn silence_is_left_out_and_speech_without_pauses_is_cut_anyhow() {
+        let pieces_of = |parts: &[(f32, f32)]| pieces(&spoken(parts));
+        let with_silence = pieces_of(&[(20.0, 20.0), (4000.0, 5.0), (20.0, 20.0)]);
+        let speech: Vec<&Piece> = with_silence.iter().filter(|p| p.speech).collect();
+        assert!((1..=2).contains(&speech.len()), "{with_silence:?}");
+        assert!(speech.iter().any(|p| p.from <= 2250 && p.to >= 2250));
+        let without_pauses = pieces_of(&[(4000.0, 30.0)]);
+        assert!(without_pauses.len() >= 4 && without_pauses.iter().all(|p| p.speech && p.to - p.from <= 800));
+        assert!(pieces_of(&[(3.0, 30.0)]).iter().all(|p| !p.speech));
+        assert!(pieces(&[]).is_empty());
+    }
+}
