@@ -222,3 +222,48 @@ fn useless_input_ends_with_one_line_and_a_failure() {
     std::fs::remove_file(input.join("b.mp4")).unwrap();
     assert!(run(&arguments).status.success());
 }
+
+/// Nothing but one long recording: it is cut at its pauses, a second run takes over what is there, and what is no recording is refused.
+#[test]
+fn one_long_recording_is_a_corpus() {
+    let folder = tempfile::tempdir().unwrap();
+    let (take, output) = (folder.path().join("talk one.wav"), folder.path().join("features"));
+    let mut samples = bursts(40.0, 110.0);
+    samples.extend(std::iter::repeat_n(0, 16_000 * 20));
+    write_wav(&take, &samples);
+    std::fs::write(folder.path().join("talk one.srt"), "1\n").unwrap();
+    let arguments = [take.to_str().unwrap(), "-o", output.to_str().unwrap()];
+    let ran = run(&arguments);
+    let said = text(&ran.stderr);
+    assert!(ran.status.success(), "{said}");
+    assert!(
+        said.contains("s without speech left out") && said.contains("talk one.srt is not read"),
+        "{said}"
+    );
+    let features = FeatureFolder::open(&output).unwrap();
+    let clips = &features.manifest.clips;
+    assert!((5..=20).contains(&clips.len()), "{}", clips.len());
+    assert!(
+        clips
+            .iter()
+            .all(|clip| clip.speaker == "talk one" && clip.id.starts_with("talk"))
+    );
+    let frames: usize = clips.iter().map(|clip| clip.audio_frames).sum();
+    assert!((3700..=4900).contains(&frames), "{frames}");
+    assert!(run(&arguments).status.success());
+    let again = FeatureFolder::open(&output).unwrap().manifest.clips;
+    let ids = |clips: &[lipstream_make::features::Clip]| {
+        clips.iter().map(|clip| clip.id.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(ids(&again), ids(clips));
+
+    let notes = folder.path().join("notes.mp4");
+    std::fs::write(&notes, "no video").unwrap();
+    let ran = run(&[
+        notes.to_str().unwrap(),
+        "-o",
+        folder.path().join("other").to_str().unwrap(),
+    ]);
+    let said = text(&ran.stderr);
+    assert!(!ran.status.success() && said.contains("notes.mp4"), "{said}");
+}

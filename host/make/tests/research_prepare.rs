@@ -175,3 +175,66 @@ fn grid_videos() {
     );
     assert!(again.seconds_taken < summary.seconds_taken);
 }
+
+/// One take with a bad part behind it: the good pieces are kept, each with its mouth, the bad ones named.
+#[test]
+#[ignore = "needs the research data: tests/run --research"]
+fn a_bad_minute_does_not_spoil_a_take() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = shared().join("data/grid-s1/train");
+    let mut names: Vec<_> = std::fs::read_dir(&grid)
+        .unwrap()
+        .filter_map(|e| Some(e.ok()?.path()))
+        .collect();
+    names.retain(|path| path.extension().is_some_and(|e| e == "mpg"));
+    names.sort();
+    let list = folder.path().join("list.txt");
+    let lines: Vec<String> = names
+        .iter()
+        .step_by(40)
+        .take(8)
+        .map(|path| format!("file '{}'\n", path.display()))
+        .collect();
+    std::fs::write(&list, lines.concat()).unwrap();
+    let take = folder.path().join("take.mp4");
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-nostdin", "-v", "error", "-f", "concat", "-safe", "0", "-i"])
+        .arg(&list)
+        .args([
+            "-f",
+            "lavfi",
+            "-t",
+            "9",
+            "-i",
+            "testsrc=s=360x288:r=25",
+            "-f",
+            "lavfi",
+            "-t",
+            "9",
+            "-i",
+            "anoisesrc=a=0.3",
+        ])
+        .args([
+            "-filter_complex",
+            "[0:v]fps=25,scale=360:288,setsar=1[v];[1:v]setsar=1[w];[v][0:a][w][2:a]concat=n=2:v=1:a=1[p][s]",
+        ])
+        .args([
+            "-map", "[p]", "-map", "[s]", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-c:a", "aac",
+        ])
+        .arg(&take)
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    let settings = PrepareSettings {
+        corpus: take,
+        out: folder.path().join("features"),
+        ..PrepareSettings::default()
+    };
+    let summary = corpus::prepare(&settings, &()).unwrap();
+    let kept = summary.train.with_video + summary.val.with_video + summary.test.with_video;
+    println!("{kept} pieces kept; left out: {:?}", summary.skipped);
+    assert!(kept >= 3 && !summary.skipped.is_empty());
+    let good = summary.train.seconds + summary.val.seconds + summary.test.seconds;
+    assert!((16.0..28.0).contains(&good), "{good} s of 24 s are good");
+    assert!(settings.out.join("sheet.png").is_file());
+}

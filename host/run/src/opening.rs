@@ -3,7 +3,7 @@
 //!
 //! Both are linear in the parameters. They are learnt from the eigenmouths alone: mouths are drawn whose parameters have the deviations
 //! that the model knows, the lips in them are measured ([`crate::lips`]), and a straight line is laid through what was measured. How well that
-//! follows landmarks of real videos is in `docs/live.md`: the gap very well (0.96), the width weakly (0.33).
+//! follows landmarks of real videos is in `docs/live.md`: the gap very well (0.96), the width weakly (0.43).
 use std::path::Path;
 
 use lipstream_core::model::container::MAGIC;

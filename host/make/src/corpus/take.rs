@@ -1,11 +1,11 @@
-//! One long take as a corpus: cut at its pauses into pieces of some seconds.
+//! One long take, a video or its sound alone, as a corpus: cut at its pauses into pieces of some seconds.
 use std::path::{Path, PathBuf};
 
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_media::sound;
 use lipstream_media::video::{self, Part};
 
-use super::discover::{ClipFiles, Found, Options, deal, safe};
+use super::discover::{ClipFiles, Found, Options, SOUND, deal, safe};
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::Split;
 use lipstream::progress::Progress;
@@ -36,9 +36,20 @@ struct Piece {
 ///
 /// That it has no sound or no speech, and what the disk says.
 pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Progress) -> Result<Found> {
-    video::available().map_err(Error::other)?;
-    let bytes = video::decode_sound(take).map_err(Error::other)?;
-    let samples = sound::decode(&bytes).map_err(Error::other)?.samples;
+    let ending = take
+        .extension()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .to_lowercase();
+    let sound_only = SOUND.contains(&ending.as_str());
+    let samples = match sound_only && sound::knows(take) {
+        true => sound::read(take).map_err(Error::other)?.samples,
+        false => {
+            video::available().map_err(Error::other)?;
+            let bytes = video::decode_sound(take).map_err(Error::other)?;
+            sound::decode(&bytes).map_err(Error::other)?.samples
+        }
+    };
     let pieces = pieces(&samples);
     let spoken: Vec<Piece> = pieces.iter().copied().filter(|piece| piece.speech).collect();
     if spoken.is_empty() {
@@ -66,7 +77,7 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
             id,
             speaker: stem.clone(),
             split: Split::Train,
-            video: Some(take.to_owned()),
+            video: (!sound_only).then(|| take.to_owned()),
             part: Some(Part {
                 begins_s: seconds(piece.from),
                 seconds: of.len() as f64 / f64::from(SAMPLE_RATE_HZ),

@@ -127,7 +127,7 @@ pub(super) fn see(
             }
             Some(Err(error)) => {
                 skipped.push(Skipped {
-                    path: video_path(&prepared).display().to_string(),
+                    path: place(&prepared),
                     reason: reason(&error),
                 });
                 continue;
@@ -209,6 +209,19 @@ fn show(clips: &[(String, Seen)], out: &Path, progress: &dyn Progress) -> Result
     Ok(())
 }
 
+/// A clip's video, and which part of it, for people.
+fn place(prepared: &Prepared) -> String {
+    let path = video_path(prepared).display();
+    match prepared.source.part {
+        None => path.to_string(),
+        Some(part) => format!(
+            "{path} from {:.1} to {:.1} s",
+            part.begins_s,
+            part.begins_s + part.seconds
+        ),
+    }
+}
+
 /// Mouth images of every clip with video, and what vouches for them.
 type Tracked = Option<Result<(Seen, Stamp)>>;
 
@@ -235,11 +248,7 @@ fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<
         let track = |i: &usize| {
             let result = track_one(&clips[*i], face, size, out);
             if let Err(error) = &result {
-                progress.say(&format!(
-                    "skipped {}: {}",
-                    video_path(&clips[*i]).display(),
-                    reason(error)
-                ));
+                progress.say(&format!("skipped {}: {}", place(&clips[*i]), reason(error)));
             }
             steps.iter().for_each(Steps::made);
             (*i, result)

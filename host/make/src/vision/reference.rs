@@ -54,7 +54,6 @@ pub(crate) struct Reference {
 /// A clip, and those of its pictures in which the face was found: their numbers and the map from the template.
 struct Seen<'a> {
     view: &'a View<'a>,
-    face: FaceBox,
     pictures: Vec<(usize, Affine)>,
 }
 
@@ -121,14 +120,13 @@ pub(crate) fn learn(clips: &[Frames]) -> Result<Reference> {
         }
         tracks.push(Seen {
             view: &sample.view,
-            face: sample.face,
             pictures,
         });
     }
     if tracks.is_empty() {
         return Err(reason);
     }
-    let mouth = match mouth_of_lips(&seen_lips(&tracks)?, side) {
+    let mouth = match mouth_of_lips(&seen_lips(&tracks, side)?, side) {
         Some(place) => place,
         None => mouth_of_motion(&tracks, side),
     };
@@ -280,7 +278,7 @@ fn centre_on_average(samples: &mut [Sample], side: f32) {
 }
 
 /// The lips in every picture, in template coordinates; None where the network sees no face.
-fn seen_lips(tracks: &[Seen]) -> Result<Vec<Option<Lips>>> {
+fn seen_lips(tracks: &[Seen], side: f32) -> Result<Vec<Option<Lips>>> {
     let finder = LandmarkFinder::new()?;
     let mut all = Vec::new();
     for track in tracks {
@@ -290,7 +288,8 @@ fn seen_lips(tracks: &[Seen]) -> Result<Vec<Option<Lips>>> {
             let near = before
                 .as_ref()
                 .and_then(|before| finder.near(frames, *index, before));
-            let found = near.or_else(|| finder.near_box(frames, *index, track.face));
+            let registered = track.view.face(map, side);
+            let found = near.or_else(|| finder.near_box(frames, *index, registered));
             let to_template = track.view.to_frame().after(map).inverse();
             all.push(
                 found

@@ -28,7 +28,8 @@ const MOST_LOST_WITH_LIPS: f32 = 0.25;
 const LOOKS_HZ: f32 = 12.5;
 /// The rectangle follows the lips as slowly as this (standard deviation of a Gaussian, seconds), so that it does not follow speech.
 const FOLLOWS_S: f32 = 0.4;
-/// Of the pictures looked at, so many must show lips, and all of them inside the rectangle.
+/// Of the pictures looked at, so many must show lips, and of these so many all of them inside the rectangle.
+const LEAST_SEEN: f32 = 0.8;
 const LEAST_WHOLE: f32 = 0.9;
 
 /// What was seen of the lips of a clip.
@@ -118,7 +119,7 @@ impl Tracker {
             };
             follow(&self.reference.template, &view, face, &mut detector, most_lost)?
         };
-        let (maps, lips) = self.on_the_lips(frames, &view, face, steadied(&maps))?;
+        let (maps, lips) = self.on_the_lips(frames, &view, &mut detector, steadied(&maps))?;
         let colour = self.clip_colour(&view, &maps);
         let mouth = &self.reference.mouth;
         let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
@@ -155,7 +156,7 @@ impl Tracker {
         &self,
         frames: &Frames,
         view: &View,
-        face: FaceBox,
+        detector: &mut Detector,
         mut maps: Vec<Affine>,
     ) -> Result<(Vec<Affine>, Option<LipsSeen>)> {
         let mouth = &self.reference.mouth;
@@ -173,7 +174,10 @@ impl Tracker {
                 let near = before
                     .as_ref()
                     .and_then(|before| finder.near(frames, index, before));
-                let found = near.or_else(|| finder.near_box(frames, index, face));
+                let registered = view.face(&maps[index], self.reference.side);
+                let found = near
+                    .or_else(|| finder.near_box(frames, index, registered))
+                    .or_else(|| finder.near_box(frames, index, detector.find(frames, index)?));
                 before.clone_from(&found);
                 (index, found)
             })
@@ -185,7 +189,7 @@ impl Tracker {
             seen.collect()
         };
         let seen = lips(&maps);
-        if (seen.len() as f32) < LEAST_WHOLE * looks.len() as f32 {
+        if (seen.len() as f32) < LEAST_SEEN * looks.len() as f32 {
             bail!(
                 Data,
                 "lips are seen in {} of {} pictures looked at only (turned away, covered, or another face)",
@@ -289,6 +293,17 @@ impl<'a> View<'a> {
     pub(crate) fn start(&self, face: FaceBox, template_side: f32) -> Affine {
         let to_view = self.to_frame().inverse().unwrap_or(Affine::IDENTITY);
         to_view.after(&Affine::scaled(face.side / template_side, face.left, face.top))
+    }
+
+    /// The face's box in a picture whose map from the template this is.
+    pub(crate) fn face(&self, map: &Affine, template_side: f32) -> FaceBox {
+        let map = self.to_frame().after(map);
+        let (left, top) = map.apply(0.0, 0.0);
+        FaceBox {
+            left,
+            top,
+            side: template_side * map.0[0].hypot(map.0[3]),
+        }
     }
 
     /// Mean colours over pictures of the clip (every third of `maps`) at points of the template, `[channel][point]`.
