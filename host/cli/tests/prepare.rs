@@ -267,3 +267,18 @@ fn one_long_recording_is_a_corpus() {
     let said = text(&ran.stderr);
     assert!(!ran.status.success() && said.contains("notes.mp4"), "{said}");
 }
+
+#[test]
+fn prompts_are_a_sentence_a_line() {
+    let printed = Command::new(env!("CARGO_BIN_EXE_lipstream"))
+        .arg("prompts")
+        .output()
+        .unwrap();
+    assert!(printed.status.success() && printed.stderr.is_empty());
+    let text = text(&printed.stdout);
+    assert_eq!(text.lines().count(), 24);
+    assert!(
+        text.lines()
+            .all(|line| line.ends_with(['.', '?']) && line.split(' ').count() >= 9)
+    );
+}

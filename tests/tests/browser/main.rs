@@ -3,6 +3,7 @@
 #[allow(dead_code, reason = "the tests of the firmware use more of it")]
 mod common;
 
+#[allow(dead_code, reason = "the benchmark uses more of it")]
 mod chromium;
 
 use std::net::{IpAddr, Ipv4Addr};

@@ -14,6 +14,7 @@ mod evaluate;
 mod export;
 mod features;
 mod prepare;
+mod prompts;
 mod record;
 mod render;
 mod sources;
@@ -41,6 +42,7 @@ enum Command {
     Export(export::Args),
     Features(features::Args),
     Prepare(prepare::Args),
+    Prompts(prompts::Args),
     Record(record::Args),
     Render(render::Args),
     Train(Box<train::Train>),
@@ -58,6 +60,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
         Command::Prepare(args) => prepare::run(args),
+        Command::Prompts(args) => prompts::run(args),
         Command::Record(args) => record::run(args),
         Command::Render(args) => render::run(args),
         Command::Train(args) => train::run(*args),

@@ -143,7 +143,7 @@ fn whole(args: Args) -> Result<()> {
                 Some(FloatModel::Likelihood(parent)) => train_mge::From::Likelihood(parent),
                 Some(FloatModel::Recurrent(model)) if heard.is_empty() => train_mge::From::Recurrent(model),
                 Some(FloatModel::Recurrent(_)) => {
-                    bail!("a model that is adapted goes on hearing as it does: leave out --audio-only")
+                    bail!("a model that is adapted goes on hearing as it does: leave out --audio")
                 }
             };
             train_mge::run(&args.mge, &folder, &heard, &from, args.clips, args.seed, output)?;

@@ -4,6 +4,7 @@ pub mod discover;
 pub mod labels;
 pub mod phoneset;
 pub mod prepare;
+pub mod prompts;
 pub mod pronounce;
 mod sheet;
 mod stamp;

@@ -75,7 +75,7 @@ pub fn adapt(
     if folder.manifest.visual_size != outputs {
         bail!(
             Choice,
-            "{} holds {} eigenmouths, the model that is adapted speaks {outputs}: prepare as many (--eigenmouths {outputs})",
+            "{} holds {} eigenmouths, the model that is adapted speaks {outputs}: prepare as many",
             folder.root.display(),
             folder.manifest.visual_size
         );
