@@ -63,11 +63,11 @@ const OBSERVER: &str = "
     look();
 ";
 
-pub(crate) fn run() {
+pub(crate) fn run(sources: &[From]) {
     println!(
         "| source | profile | look-ahead | median | least | most | heard of | pictures/s |\n|---|---|---|---|---|---|---|---|"
     );
-    for from in [From::Inside, From::Line, From::Qemu] {
+    for from in sources.iter().copied() {
         for (profile, word) in [
             (Profile::Live, "live"),
             (Profile::Standard, "standard"),

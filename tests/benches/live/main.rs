@@ -2,7 +2,7 @@
 //! `docs/live.md`.
 //!
 //! ```text
-//! cargo bench -p lipstream-tests --bench live -- delay         from the onset of a vowel to the picture in which the mouth opens
+//! cargo bench -p lipstream-tests --bench live -- delay [qemu]  from the onset of a vowel to the picture in which the mouth opens
 //! cargo bench -p lipstream-tests --bench live -- cpu           processor time of host and page
 //! cargo bench -p lipstream-tests --bench live -- soak MINUTES  what grows
 //! cargo bench -p lipstream-tests --bench live -- pictures      pictures a second by parameters
@@ -49,7 +49,8 @@ fn main() {
         .collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     match words[..] {
-        ["delay"] => delay::run(),
+        ["delay"] => delay::run(&[From::Inside, From::Line, From::Qemu]),
+        ["delay", "qemu"] => delay::run(&[From::Qemu]),
         ["cpu"] => cpu(),
         ["soak", minutes] => soak(minutes.parse().expect("a number of minutes")),
         ["pictures"] => pictures(),
