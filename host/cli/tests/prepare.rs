@@ -231,13 +231,13 @@ fn one_long_recording_is_a_corpus() {
     let mut samples = bursts(40.0, 110.0);
     samples.extend(std::iter::repeat_n(0, 16_000 * 20));
     write_wav(&take, &samples);
-    std::fs::write(folder.path().join("talk one.srt"), "1\n").unwrap();
+    std::fs::write(folder.path().join("talk one.txt"), "words").unwrap();
     let arguments = [take.to_str().unwrap(), "-o", output.to_str().unwrap()];
     let ran = run(&arguments);
     let said = text(&ran.stderr);
     assert!(ran.status.success(), "{said}");
     assert!(
-        said.contains("s without speech left out") && said.contains("talk one.srt is not read"),
+        said.contains("s without speech left out") && said.contains("talk one.txt is not read"),
         "{said}"
     );
     let features = FeatureFolder::open(&output).unwrap();
@@ -256,6 +256,20 @@ fn one_long_recording_is_a_corpus() {
         clips.iter().map(|clip| clip.id.clone()).collect::<Vec<_>>()
     };
     assert_eq!(ids(&again), ids(clips));
+
+    // Subtitles say where to cut, and what is said.
+    let subtitles =
+        "WEBVTT\n\n00:01.000 --> 00:05.000\nPlace two blue books\n\n00:10.000 --> 00:14.000\nplease.\n";
+    std::fs::write(folder.path().join("talk one.vtt"), subtitles).unwrap();
+    let other = folder.path().join("said");
+    let ran = run(&[take.to_str().unwrap(), "-o", other.to_str().unwrap()]);
+    assert!(ran.status.success(), "{}", text(&ran.stderr));
+    let clips = FeatureFolder::open(&other).unwrap().manifest.clips;
+    let words: Vec<Vec<&str>> = clips
+        .iter()
+        .map(|clip| clip.words.iter().map(|word| word.text.as_str()).collect())
+        .collect();
+    assert_eq!(words, [vec!["place", "two", "blue", "books"], vec!["please"]]);
 
     let notes = folder.path().join("notes.mp4");
     std::fs::write(&notes, "no video").unwrap();

@@ -17,7 +17,8 @@ use lipstream_make::corpus::{self, PrepareSettings, Summary};
 /// continues when it is started again. DIR/sheet.png shows mouths of every clip.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Folder of the corpus, or one video of somebody who speaks: it is cut at its pauses
+    /// Folder of the corpus, or one video of somebody who speaks: it is cut between its subtitles (.srt or
+    /// .vtt beside it), or at its pauses
     corpus: PathBuf,
     /// Folder for the features; new, or from an earlier run
     #[arg(short, long, value_name = "DIR")]

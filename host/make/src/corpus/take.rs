@@ -1,11 +1,13 @@
-//! One long take, a video or its sound alone, as a corpus: cut at its pauses into pieces of some seconds.
+//! One long take, a video or its sound alone, as a corpus: cut into pieces of some seconds, between its subtitles where there are some, else at
+//! its pauses.
 use std::path::{Path, PathBuf};
 
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
-use lipstream_media::sound;
 use lipstream_media::video::{self, Part};
+use lipstream_media::{files, sound};
 
 use super::discover::{ClipFiles, Found, Options, SOUND, deal, safe};
+use super::labels::subtitles::{self, Subtitle};
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::Split;
 use lipstream::progress::Progress;
@@ -21,6 +23,10 @@ const SPEECH: f32 = 0.4;
 const LEAST_RANGE_DB: f32 = 10.0;
 /// A piece with less speech than this is left out, in hops.
 const LEAST_SPEECH: usize = 40;
+
+/// Subtitles closer than this belong together; cuts are so far from what is said.
+const NEAR_S: f64 = 0.5;
+const MARGIN_S: f64 = 0.2;
 
 /// A piece in hops: from, to, and whether there is speech in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +56,12 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
             sound::decode(&bytes).map_err(Error::other)?.samples
         }
     };
-    let pieces = pieces(&samples);
+    let said = subtitles(take)?;
+    let (pieces, texts) = match &said {
+        None => (pieces(&samples), Vec::new()),
+        Some((_, said)) => pieces_of(said, samples.len() / HOP_SAMPLES).into_iter().unzip(),
+    };
+    let texts: Vec<String> = texts;
     let spoken: Vec<Piece> = pieces.iter().copied().filter(|piece| piece.speech).collect();
     if spoken.is_empty() {
         bail!(
@@ -73,6 +84,12 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
         let of = &samples[piece.from * HOP_SAMPLES..(piece.to * HOP_SAMPLES).min(samples.len())];
         write_if_other(&path, of)?;
         let seconds = |hops: usize| hops as f64 * HOP_SAMPLES as f64 / f64::from(SAMPLE_RATE_HZ);
+        let mut labels = Vec::new();
+        if let Some(text) = texts.get(number - 1) {
+            let path = folder.join(format!("{id}.txt"));
+            files::write_bytes(&path, text.as_bytes()).map_err(Error::other)?;
+            labels.push(path);
+        }
         clips.push(ClipFiles {
             id,
             speaker: stem.clone(),
@@ -83,7 +100,7 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
                 seconds: of.len() as f64 / f64::from(SAMPLE_RATE_HZ),
             }),
             sound: Some(path),
-            labels: Vec::new(),
+            labels,
             stem: String::new(),
         });
     }
@@ -95,13 +112,15 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
         seconds(&spoken),
         seconds(&pieces) - seconds(&spoken)
     ));
-    for beside in ["txt", "srt", "vtt"].map(|ending| take.with_extension(ending)) {
-        if beside.is_file() {
-            progress.say(&format!(
-                "{} is not read: a text is not yet cut with its take; cut into clips with a .txt beside each, it would be",
-                beside.display()
-            ));
-        }
+    if let Some((path, _)) = &said {
+        progress.say(&format!("what is said comes from {}", path.display()));
+    }
+    let beside = take.with_extension("txt");
+    if beside.is_file() && said.is_none() {
+        progress.say(&format!(
+            "{} is not read: a text without times is not cut with its take; subtitles (.srt, .vtt) are",
+            beside.display()
+        ));
     }
     let split_by = deal(&mut clips, false, options)?;
     Ok(Found {
@@ -109,6 +128,58 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
         left_alone: Vec::<PathBuf>::new(),
         split_by,
     })
+}
+
+/// The subtitles beside a take, and which file they are in; those without words are left out.
+fn subtitles(take: &Path) -> Result<Option<(PathBuf, Vec<Subtitle>)>> {
+    let beside = ["srt", "vtt"].map(|ending| take.with_extension(ending));
+    let Some(path) = beside.into_iter().find(|path| path.is_file()) else {
+        return Ok(None);
+    };
+    let bytes = files::read_bytes(&path).map_err(Error::other)?;
+    let mut said = subtitles::read(&String::from_utf8_lossy(&bytes))
+        .with_context(|| format!("{} cannot be read as subtitles", path.display()))?;
+    said.retain(|subtitle| subtitle.text.chars().any(char::is_alphabetic));
+    Ok(Some((path, said)))
+}
+
+/// Pieces of subtitles that follow each other closely, and what is said in each. Between two pieces the cut is half-way, a fifth of a second
+/// from what is said at most.
+fn pieces_of(said: &[Subtitle], hops: usize) -> Vec<(Piece, String)> {
+    let hop = |seconds: f64| ((100.0 * seconds).round().max(0.0) as usize).min(hops);
+    let mut groups: Vec<(f64, f64, String)> = Vec::new();
+    for Subtitle {
+        time: (from, to),
+        text,
+    } in said
+    {
+        match groups.last_mut() {
+            Some((begins, ends, texts)) if from - *ends < NEAR_S && to - *begins <= LONGEST_S => {
+                *ends = ends.max(*to);
+                *texts += &format!(" {text}");
+            }
+            _ => groups.push((*from, *to, text.clone())),
+        }
+    }
+    (0..groups.len())
+        .filter_map(|n| {
+            let (begins, ends, text) = &groups[n];
+            let before = n.checked_sub(1).map_or(0.0, |n| groups[n].1);
+            let after = groups.get(n + 1).map_or(f64::INFINITY, |next| next.0);
+            let from = hop((begins - MARGIN_S).max(0.5 * (before + begins)).min(*begins));
+            let to = hop((ends + MARGIN_S).min(0.5 * (ends + after)).max(*ends));
+            (to >= from + LEAST_SPEECH).then(|| {
+                (
+                    Piece {
+                        from,
+                        to,
+                        speech: true,
+                    },
+                    text.clone(),
+                )
+            })
+        })
+        .collect()
 }
 
 /// Leaves a file alone that holds these samples already, so that what was made of it still holds.
@@ -228,6 +299,34 @@ mod tests {
             assert!(levels[pair[0].to] < 35.0, "cut at {} in speech", pair[0].to);
             assert!((200..=800).contains(&(pair[0].to - pair[0].from)));
         }
+    }
+
+    #[test]
+    fn subtitles_cut_where_they_say() {
+        let say = |from: f64, to: f64, text: &str| Subtitle {
+            time: (from, to),
+            text: text.to_owned(),
+        };
+        let said = [
+            say(1.0, 3.0, "one two"),
+            say(3.2, 6.0, "three"),
+            say(8.0, 12.0, "four"),
+            say(12.1, 17.0, "five"),
+            say(30.0, 30.1, "six"),
+        ];
+        let pieces = pieces_of(&said, 2900);
+        let places: Vec<(usize, usize, &str)> = pieces
+            .iter()
+            .map(|(p, text)| (p.from, p.to, text.as_str()))
+            .collect();
+        assert_eq!(
+            places,
+            [
+                (80, 620, "one two three"),
+                (780, 1205, "four"),
+                (1205, 1720, "five")
+            ]
+        );
     }
 
     #[test]

@@ -14,6 +14,7 @@ use crate::error::{Context as _, Error, Result, bail};
 use lipstream::phones::Phone;
 
 mod columns;
+pub mod subtitles;
 mod textgrid;
 pub mod transcript;
 
