@@ -4,7 +4,7 @@ use lipstream_live::event::Event;
 use lipstream_live::feed::Speech;
 use lipstream_live::hub::Missed;
 
-use crate::{Drawn, From, bench_as, common};
+use crate::{Device, Drawn, bench_as, common};
 
 /// Vowels in the sound.
 const VOWELS: usize = 12;
@@ -63,7 +63,7 @@ const OBSERVER: &str = "
     look();
 ";
 
-pub(crate) fn run(sources: &[From]) {
+pub(crate) fn run(sources: &[Device]) {
     println!(
         "| source | profile | look-ahead | median | least | most | heard of | pictures/s |\n|---|---|---|---|---|---|---|---|"
     );
@@ -78,7 +78,7 @@ pub(crate) fn run(sources: &[From]) {
     }
 }
 
-fn one(from: From, profile: Profile, word: &str) {
+fn one(from: Device, profile: Profile, word: &str) {
     let (samples, onsets) = sound();
     let mut bench = bench_as(Vec::new(), Drawn::Canvas);
     let path = bench.folder.path().join("vowels.wav");

@@ -49,8 +49,8 @@ fn main() {
         .collect();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
     match words[..] {
-        ["delay"] => delay::run(&[From::Inside, From::Line, From::Qemu]),
-        ["delay", "qemu"] => delay::run(&[From::Qemu]),
+        ["delay"] => delay::run(&[Device::Inside, Device::Line, Device::Qemu]),
+        ["delay", "qemu"] => delay::run(&[Device::Qemu]),
         ["cpu"] => cpu(),
         ["soak", minutes] => soak(minutes.parse().expect("a number of minutes")),
         ["pictures"] => pictures(),
@@ -111,7 +111,7 @@ enum Drawn {
 
 /// Where frames come from.
 #[derive(Clone, Copy, PartialEq)]
-enum From {
+enum Device {
     /// The model in this process.
     Inside,
     /// The firmware's application in this process, behind a TCP line: a device without an emulator's cost.
@@ -120,20 +120,20 @@ enum From {
     Qemu,
 }
 
-impl From {
+impl Device {
     fn words(self) -> &'static str {
         match self {
-            From::Inside => "the model in this program (`--wav`)",
-            From::Line => "the firmware's application behind a line",
-            From::Qemu => "the firmware in QEMU (`--qemu --wav`)",
+            Device::Inside => "the model in this program (`--wav`)",
+            Device::Line => "the firmware's application behind a line",
+            Device::Qemu => "the firmware in QEMU (`--qemu --wav`)",
         }
     }
 
     fn source(self, folder: &Path) -> Source {
         match self {
-            From::Inside => Source::Inside(Arc::new(Engine::shipped())),
-            From::Line => Source::Line(device::start()),
-            From::Qemu => Source::Line(Address::Qemu(common::qemu::build_firmware(
+            Device::Inside => Source::Inside(Arc::new(Engine::shipped())),
+            Device::Line => Source::Line(device::start()),
+            Device::Qemu => Source::Line(Address::Qemu(common::qemu::build_firmware(
                 folder, "firmware", None,
             ))),
         }
@@ -141,7 +141,7 @@ impl From {
 }
 
 impl Bench {
-    fn attach(&self, from: From, speech: Speech, repeat: bool, profile: Profile) {
+    fn attach(&self, from: Device, speech: Speech, repeat: bool, profile: Profile) {
         self.desk.attach(Setup {
             source: from.source(self.folder.path()),
             speech: Some(speech),
@@ -181,10 +181,10 @@ fn cpu() {
         "| source | drawn by | host | QEMU | browser: page | browser: the rest | pictures/s |\n|---|---|---|---|---|---|---|"
     );
     let ways = [
-        (From::Inside, Drawn::WebGl),
-        (From::Inside, Drawn::Canvas),
-        (From::Line, Drawn::Canvas),
-        (From::Qemu, Drawn::Canvas),
+        (Device::Inside, Drawn::WebGl),
+        (Device::Inside, Drawn::Canvas),
+        (Device::Line, Drawn::Canvas),
+        (Device::Qemu, Drawn::Canvas),
     ];
     for (from, how) in ways {
         let mut bench = bench_as(Vec::new(), how);
@@ -210,7 +210,7 @@ fn cpu() {
             )
         };
         let qemu = match from {
-            From::Qemu => share(|f| f.qemu),
+            Device::Qemu => share(|f| f.qemu),
             _ => "–".to_owned(),
         };
         println!(
@@ -227,7 +227,7 @@ fn cpu() {
 
 fn soak(minutes: u32) {
     let mut bench = bench_as(Vec::new(), Drawn::Canvas);
-    bench.attach(From::Line, Speech::Shipped, true, Profile::Standard);
+    bench.attach(Device::Line, Speech::Shipped, true, Profile::Standard);
     bench
         .browser
         .wait("window.lipstream.stats().framesReceived > 500");
@@ -312,7 +312,7 @@ fn pictures() {
 fn film(folder: &Path) {
     std::fs::create_dir_all(folder).unwrap();
     let mut bench = bench_as(Vec::new(), Drawn::WebGl);
-    bench.attach(From::Inside, Speech::Shipped, true, Profile::Standard);
+    bench.attach(Device::Inside, Speech::Shipped, true, Profile::Standard);
     bench
         .browser
         .wait("window.lipstream.stats().framesReceived > 450");

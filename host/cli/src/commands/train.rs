@@ -139,9 +139,9 @@ fn whole(args: Args) -> Result<()> {
         Method::Mge => {
             let from = args.mge.from.as_deref().map(FloatModel::read).transpose()?;
             let from = match from {
-                None => train_mge::From::Likelihood(Box::new(by_likelihood()?)),
-                Some(FloatModel::Likelihood(parent)) => train_mge::From::Likelihood(parent),
-                Some(FloatModel::Recurrent(model)) if heard.is_empty() => train_mge::From::Recurrent(model),
+                None => train_mge::Start::Likelihood(Box::new(by_likelihood()?)),
+                Some(FloatModel::Likelihood(parent)) => train_mge::Start::Likelihood(parent),
+                Some(FloatModel::Recurrent(model)) if heard.is_empty() => train_mge::Start::Recurrent(model),
                 Some(FloatModel::Recurrent(_)) => {
                     bail!("a model that is adapted goes on hearing as it does: leave out --audio")
                 }

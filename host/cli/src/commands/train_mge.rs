@@ -128,7 +128,7 @@ impl Args {
 }
 
 /// What training starts from.
-pub(crate) enum From {
+pub(crate) enum Start {
     /// A likelihood-trained model.
     Likelihood(Box<Model>),
     /// A model whose mouth is learnt anew.
@@ -140,7 +140,7 @@ pub(crate) fn run(
     args: &Args,
     folder: &FeatureFolder,
     heard: &[FeatureFolder],
-    from: &From,
+    from: &Start,
     clips: Option<usize>,
     seed: u64,
     output: &Path,
@@ -161,8 +161,8 @@ pub(crate) fn run(
     let settings = args.settings(clips, seed);
     let progress = Terminal::default();
     let model = match from {
-        From::Likelihood(parent) => train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?,
-        From::Recurrent(model) => adapt(folder, model, &settings, Some(&checkpoint), &progress)?,
+        Start::Likelihood(parent) => train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?,
+        Start::Recurrent(model) => adapt(folder, model, &settings, Some(&checkpoint), &progress)?,
     };
     model.write(output)?;
     remove()
