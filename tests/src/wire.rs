@@ -520,10 +520,10 @@ pub fn refusals_name_their_reason() {
         let outcome = outcome_at_host(frame(hello.as_slice()).as_slice());
         assert_eq!(outcome, Err(WireError::Malformed), "{what}");
     }
-    // 65 scales; 14 viseme weights.
+    // 97 scales; 14 viseme weights.
     let mut hello = Bytes::new();
-    hello.extend(&[0, PROTOCOL, 0, 0, 0, 13, 1, 1, b'm', 65, 65]);
-    hello.extend(&[0; 65 * 4]);
+    hello.extend(&[0, PROTOCOL, 0, 0, 0, 13, 1, 1, b'm', 97, 97]);
+    hello.extend(&[0; 97 * 4]);
     assert_eq!(
         outcome_at_host(frame(hello.as_slice()).as_slice()),
         Err(WireError::Malformed)

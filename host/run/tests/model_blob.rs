@@ -201,7 +201,7 @@ fn numbers_out_of_range_are_refused() {
         (GROUPS, 0, vec![0]),
         (GROUPS, 7, vec![b'x']),
         (GROUPS, 8, vec![0, 0]),
-        (GROUPS, 8, vec![65, 0]),
+        (GROUPS, 8, vec![97, 0]),
         (SETTINGS, settings::BEAM, 0u32.to_le_bytes().to_vec()),
         (SETTINGS, settings::BEAM, u32::MAX.to_le_bytes().to_vec()),
         (SETTINGS, settings::AVERAGE, vec![2]),
