@@ -548,7 +548,7 @@ pub fn refusals_name_their_reason() {
         Some(WireError::Malformed)
     );
     // Too long, whether COBS ends well or not; without room for a CRC; a wrong CRC.
-    let mut long = frame(&[1; 400]);
+    let mut long = frame(&[1; 480]);
     assert_eq!(outcome_at_host(long.as_slice()), Err(WireError::TooLong));
     long.bytes[long.length - 2] = 0;
     assert_eq!(outcome_at_host(long.as_slice()), Err(WireError::TooLong));
