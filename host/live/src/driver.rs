@@ -436,12 +436,12 @@ impl Running {
 
     /// Whether the device owes frames for more sound than it should.
     fn is_behind(&self) -> bool {
-        let lag = self
-            .announcement
-            .as_ref()
-            .map_or(0, |a| u64::from(a.hello.lag_samples));
-        let answered = match self.sample {
-            Some(sample) if !self.fresh => sample + lag,
+        let answered = match (self.sample, self.announcement.as_deref()) {
+            // Until its next frame comes a device of a low rate owes nothing.
+            (Some(sample), Some(Announcement { hello, .. })) if !self.fresh => {
+                let next = SAMPLE_RATE_HZ / u32::from(hello.rate_hz.max(1));
+                sample + u64::from(hello.lag_samples) + u64::from(next)
+            }
             _ => 0,
         };
         self.fed > answered + MOST_BEHIND
