@@ -35,18 +35,23 @@ pub const MAX_GROUP_NAME: usize = GROUP_NAME_SIZE;
 
 /// Longest `Pcm`: its number 1, the sequence up to 5, the number of sound bytes 2, the sound 320.
 const MAX_PCM: usize = 1 + 5 + 2 + 2 * MAX_PCM_SAMPLES;
-/// Longest `Hello`: its number and the protocol 2, the model up to 5, the rate and the lag up to 3 each, visemes 1, the number of
-/// groups 1, each group's name with its length 9 and its size 1, the number of scales 1, the scales 4 each.
-const MAX_HELLO: usize =
-    2 + 5 + 3 + 3 + 1 + 1 + MAX_GROUPS * (1 + MAX_GROUP_NAME + 1) + 1 + 4 * MAX_PARAMETERS;
-/// Longest `Frame`: its number 1, sequence and sample up to 5 each, the number of parameters 1, the parameters up to 3 each, the
-/// number of weights 1, the weights.
-const MAX_FRAME: usize = 1 + 5 + 5 + 1 + 3 * MAX_PARAMETERS + 1 + N_VISEMES;
+/// Longest payload of a `Hello` of so many groups and parameters: its number and the protocol 2, the model up to 5, the rate and the lag up to
+/// 3 each, visemes 1, the number of groups 1, each group's name with its length 9 and its size 1, the number of scales 1, the scales 4 each.
+pub const fn longest_hello(groups: usize, parameters: usize) -> usize {
+    2 + 5 + 3 + 3 + 1 + 1 + groups * (1 + MAX_GROUP_NAME + 1) + 1 + 4 * parameters
+}
+/// Longest payload of a `Frame` of so many parameters and viseme weights: its number 1, sequence and sample up to 5 each, the number of
+/// parameters 1, the parameters up to 3 each, the number of weights 1, the weights.
+pub const fn longest_frame(parameters: usize, visemes: usize) -> usize {
+    1 + 5 + 5 + 1 + 3 * parameters + 1 + visemes
+}
+/// Longest payload of a `Status`: its number 1, the load up to 3, four counts up to 5 each.
+pub const LONGEST_STATUS: usize = 1 + 3 + 4 * 5;
 
 /// Longest payload, without its CRC, in bytes: a full `Hello`, 440 (96 parameters in 4 groups of the longest names). A full `Pcm`
 /// takes 328, a full `Frame` 314.
-pub const MAX_PAYLOAD: usize = MAX_HELLO;
-const _: () = assert!(MAX_PCM <= MAX_PAYLOAD && MAX_FRAME <= MAX_PAYLOAD);
+pub const MAX_PAYLOAD: usize = longest_hello(MAX_GROUPS, MAX_PARAMETERS);
+const _: () = assert!(MAX_PCM <= MAX_PAYLOAD && longest_frame(MAX_PARAMETERS, N_VISEMES) <= MAX_PAYLOAD);
 /// Longest frame on the line in bytes: payload 440, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 445.
 pub const MAX_ENCODED: usize = encoded_size(MAX_PAYLOAD);
 

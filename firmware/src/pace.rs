@@ -7,7 +7,7 @@
 //! 2. A second whose messages were more than the line carries is followed by the next n: parameters are shorter where they are small,
 //!    and their usual size is no promise. It does not come down again before the next start: a rate that goes to and fro is worse
 //!    to look at than a low one.
-use lipstream_core::wire::encoded_size;
+use lipstream_core::wire::{LONGEST_STATUS, encoded_size, longest_hello};
 
 use crate::app::RATE_HZ;
 
@@ -27,16 +27,9 @@ pub const fn usual_frame(parameters: usize, visemes: usize) -> usize {
     encoded_size(1 + 3 + 4 + 1 + 2 * parameters + 1 + visemes)
 }
 
-/// Bytes on the line of the longest frame of so many parameters: three bytes each.
-pub const fn longest_frame(parameters: usize, visemes: usize) -> usize {
-    encoded_size(1 + 5 + 5 + 1 + 3 * parameters + 1 + visemes)
-}
-
 /// Bytes of `Hello`, of one group, and `Status`, at most: what is said once a second.
 const fn round(parameters: usize) -> usize {
-    let hello = encoded_size(2 + 5 + 3 + 3 + 1 + 1 + 10 + 1 + 4 * parameters);
-    let status = encoded_size(1 + 3 + 4 * 5);
-    hello + status
+    encoded_size(longest_hello(1, parameters)) + encoded_size(LONGEST_STATUS)
 }
 
 /// Bytes a second of frames of usual size, and what is said beside them, at a rate.

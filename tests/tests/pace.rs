@@ -7,11 +7,11 @@ use std::rc::Rc;
 
 use lipstream::link::{Link, Losses};
 use lipstream_core::kinds::Recurrent;
-use lipstream_core::wire::{Frame, Group, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToHost, encode};
-use lipstream_core::{HOP_SAMPLES, Model, ParameterFrame, SAMPLE_RATE_HZ, Stream, StreamSettings};
-use lipstream_firmware::pace::{
-    EVERY, Pace, longest_frame, uart_bytes_per_second, usual_bytes_per_second, usual_frame,
+use lipstream_core::wire::{
+    Frame, Group, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToHost, encode, encoded_size, longest_frame,
 };
+use lipstream_core::{AnyModel, HOP_SAMPLES, Model, SAMPLE_RATE_HZ, StreamSettings};
+use lipstream_firmware::pace::{EVERY, Pace, uart_bytes_per_second, usual_bytes_per_second, usual_frame};
 use lipstream_firmware::{App, Clock, Line};
 
 fn size(message: &ToHost) -> usize {
@@ -59,7 +59,11 @@ fn the_arithmetic_of_slow_lines() {
         let usual = size(&frame(parameters, 300_000, 5000));
         assert_eq!((usual, usual_frame(parameters, 13)), (bytes, bytes));
         let longest = size(&frame(parameters, 0x1234_5678, i16::MIN));
-        assert_eq!(longest, longest_frame(parameters, 13), "{parameters}");
+        assert_eq!(
+            longest,
+            encoded_size(longest_frame(parameters, 13)),
+            "{parameters}"
+        );
         let status = Status {
             load_permille: 1000,
             overruns: u32::MAX,
@@ -163,18 +167,8 @@ fn a_slow_line_gets_every_nth_frame_whole() {
     let tables = common::shipped_tables();
     let model: Model<Recurrent> = Model::new_checked(&tables).unwrap();
     let samples = common::hello();
-    let all: Vec<ParameterFrame> = {
-        let mut stream = Stream::new(&model, StreamSettings::of(Profile::Standard));
-        let mut frames = Vec::new();
-        let mut rest = &samples[..];
-        while !rest.is_empty() {
-            let (consumed, frame) = stream.push(rest);
-            rest = &rest[consumed..];
-            frames.extend(frame);
-        }
-        frames.extend(std::iter::from_fn(|| stream.finish()));
-        frames
-    };
+    let any = AnyModel::new_checked(&tables).unwrap();
+    let all = common::host_frames(&any, StreamSettings::of(Profile::Standard), &samples);
     for (baud, rate) in [
         (1_000_000, 100),
         (115_200, 100),

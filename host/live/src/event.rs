@@ -67,8 +67,8 @@ impl Timed {
 
     /// How open and how wide the mouth is, where the mouth of the device's model is known.
     pub fn opening(&self) -> Option<Opening> {
-        let parameters: Vec<f32> = self.parameters().collect();
-        Some(self.hello.opening.as_ref()?.read(&parameters))
+        let reader = self.hello.opening.as_ref()?;
+        Some(reader.read(&self.parameters().collect::<Vec<f32>>()))
     }
 
     /// The viseme weights, 0 to 1; none where the model has none.

@@ -1,6 +1,6 @@
 //! A microphone of this computer, through cpal.
 use std::io;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use cpal::traits::{DeviceTrait as _, HostTrait as _, StreamTrait as _};
@@ -142,9 +142,7 @@ where
             ) {
                 return;
             }
-            if let Err(TrySendError::Full(lost)) = broken.try_send(Said::Broken(error.to_string())) {
-                drop(lost);
-            }
+            let _ = broken.try_send(Said::Broken(error.to_string()));
         },
         Some(PATIENCE),
     )

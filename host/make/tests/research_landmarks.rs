@@ -12,15 +12,21 @@ const LIPS: [usize; 20] = [
     61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146,
 ];
 
-#[test]
-#[ignore = "needs the research data: tests/run --research"]
-fn our_landmarks_are_mediapipes() {
+/// GRID talker 1's folder, his landmarks and the clips that they are of.
+fn grid() -> (PathBuf, Array4<i16>, Vec<String>) {
     let shared =
         std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
     let grid = PathBuf::from(shared).join("data/grid-s1");
     let npz = grid.join("landmarks.npz");
     let points = Array4::<i16>::read_npy(&common::member(&npz, "points_x32.npy")[..]).unwrap();
     let names = common::names(&common::member(&npz, "clips.npy"));
+    (grid, points, names)
+}
+
+#[test]
+#[ignore = "needs the research data: tests/run --research"]
+fn our_landmarks_are_mediapipes() {
+    let (grid, points, names) = grid();
     let finder = LandmarkFinder::new().unwrap();
     let (mut distances, mut shifts) = (Vec::new(), [0.0f64; 2]);
     let began = std::time::Instant::now();
@@ -67,12 +73,7 @@ fn our_landmarks_are_mediapipes() {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn the_rectangle_stays_where_landmarks_say() {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    let grid = PathBuf::from(shared).join("data/grid-s1");
-    let npz = grid.join("landmarks.npz");
-    let points = Array4::<i16>::read_npy(&common::member(&npz, "points_x32.npy")[..]).unwrap();
-    let names = common::names(&common::member(&npz, "clips.npy"));
+    let (grid, points, names) = grid();
     let videos = |split: &str, count: usize| -> Vec<(usize, PathBuf)> {
         let of = (0..names.len()).map(|n| (n, grid.join(split).join(format!("{}.mpg", names[n]))));
         let all: Vec<_> = of.filter(|(_, path)| path.exists()).collect();

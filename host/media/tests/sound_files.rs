@@ -1,25 +1,11 @@
 //! Sound files of every kind and shape: what a decoder elsewhere (ffmpeg) reads from them, and what is said of broken ones.
 mod common;
 
-use std::path::Path;
-use std::process::Command;
-
-use common::refused;
+use common::{ffmpeg, refused};
 use lipstream_media::sound::{self, Sound};
 
 /// The project's own speech, 16 kHz.
 const HELLO: &[u8] = include_bytes!("../../../data/hello.wav");
-
-fn ffmpeg(folder: &Path, arguments: &[&str]) {
-    let output = Command::new("ffmpeg")
-        .current_dir(folder)
-        .args(["-nostdin", "-y", "-v", "error"])
-        .args(arguments)
-        .output()
-        .expect("ffmpeg");
-    let error = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "ffmpeg {arguments:?}: {error}");
-}
 
 /// hello.wav as another file, by ffmpeg.
 fn encoded(name: &str, options: &[&str]) -> Vec<u8> {

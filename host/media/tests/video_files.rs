@@ -1,7 +1,9 @@
 //! Videos as phones and the web have them, made by ffmpeg and decoded here: their size, their pictures, their colours.
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
+mod common;
+
+use common::ffmpeg;
 use lipstream_media::video::{self, Frames, MAX_LINES};
 
 /// A second of a picture whose upper half is red and whose lower half is blue, after these words.
@@ -12,31 +14,20 @@ fn made(folder: &Path, name: &str, size: &str, rate: &str, options: &[&str]) -> 
         let height: usize = height.parse().unwrap();
         format!("color=c={colour}:s={width}x{}:r={rate}:d=1", height / 2)
     };
-    let output = Command::new("ffmpeg")
-        .args([
-            "-nostdin",
-            "-v",
-            "error",
-            "-y",
-            "-f",
-            "lavfi",
-            "-i",
-            &half("red"),
-            "-f",
-            "lavfi",
-            "-i",
-            &half("blue"),
-        ])
-        .args(["-filter_complex", "[0][1]vstack"])
-        .args(options)
-        .arg(&path)
-        .output()
-        .expect("ffmpeg");
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let colours = [half("red"), half("blue")];
+    let input = [
+        "-f",
+        "lavfi",
+        "-i",
+        &colours[0],
+        "-f",
+        "lavfi",
+        "-i",
+        &colours[1],
+        "-filter_complex",
+        "[0][1]vstack",
+    ];
+    ffmpeg(folder, &[&input[..], options, &[name]].concat());
     path
 }
 
@@ -94,7 +85,7 @@ fn every_codec_and_depth_becomes_eight_bits() {
 fn phones_films_stand_upright_and_keep_their_detail() {
     let folder = tempfile::tempdir().unwrap();
     // Filmed lying, to be turned by a quarter.
-    let lying = made(
+    made(
         folder.path(),
         "lying.mp4",
         "640x360",
@@ -102,14 +93,18 @@ fn phones_films_stand_upright_and_keep_their_detail() {
         &["-c:v", "libx264", "-pix_fmt", "yuv420p"],
     );
     let turned = folder.path().join("turned.mp4");
-    let output = Command::new("ffmpeg")
-        .args(["-nostdin", "-v", "error", "-i"])
-        .arg(&lying)
-        .args(["-c", "copy", "-metadata:s:v:0", "rotate=90"])
-        .arg(&turned)
-        .output()
-        .unwrap();
-    assert!(output.status.success());
+    ffmpeg(
+        folder.path(),
+        &[
+            "-i",
+            "lying.mp4",
+            "-c",
+            "copy",
+            "-metadata:s:v:0",
+            "rotate=90",
+            "turned.mp4",
+        ],
+    );
     let frames = video::decode(&turned).unwrap();
     if (frames.width, frames.height) != (640, 360) {
         // From ffmpeg 7 on the old word for turning is not written any more.
@@ -151,34 +146,17 @@ fn any_rate_is_kept_and_a_changing_one_made_even() {
     }
     // Half of the pictures of the second half are missing, as phones do in bad light.
     let uneven = folder.path().join("uneven.mkv");
-    let output = Command::new("ffmpeg")
-        .args([
-            "-nostdin",
-            "-v",
-            "error",
-            "-f",
-            "lavfi",
-            "-i",
-            "testsrc=s=160x120:r=30:d=2",
-        ])
-        .args([
-            "-vf",
-            "select='lt(t,1)+mod(n,2)'",
-            "-vsync",
-            "vfr",
-            "-c:v",
-            "libx264",
-            "-pix_fmt",
-            "yuv420p",
-        ])
-        .arg(&uneven)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let input = [
+        "-f",
+        "lavfi",
+        "-i",
+        "testsrc=s=160x120:r=30:d=2",
+        "-vf",
+        "select='lt(t,1)+mod(n,2)'",
+        "-vsync",
+        "vfr",
+    ];
+    ffmpeg(folder.path(), &[&input[..], &h264, &["uneven.mkv"]].concat());
     let frames = video::decode(&uneven).unwrap();
     let seconds = frames.len() as f32 / frames.rate_hz;
     assert!(

@@ -41,16 +41,19 @@ pub fn json(event: &Event) -> Option<Value> {
                 "running": said.running,
             })
         }
-        Event::Frame(timed) => object!({
-            "type": "frame",
-            "sequence": timed.frame.sequence,
-            "sample": timed.sample,
-            "time_s": seconds(timed.sample as usize),
-            "parameters": timed.parameters().collect::<Vec<f32>>(),
-            "visemes": timed.visemes().collect::<Vec<f32>>(),
-            "gap": timed.opening().map(|o| o.gap),
-            "width": timed.opening().map(|o| o.width),
-        }),
+        Event::Frame(timed) => {
+            let opening = timed.opening();
+            object!({
+                "type": "frame",
+                "sequence": timed.frame.sequence,
+                "sample": timed.sample,
+                "time_s": seconds(timed.sample as usize),
+                "parameters": timed.parameters().collect::<Vec<f32>>(),
+                "visemes": timed.visemes().collect::<Vec<f32>>(),
+                "gap": opening.map(|o| o.gap),
+                "width": opening.map(|o| o.width),
+            })
+        }
         Event::Status(health) => object!({
             "type": "status",
             "load_permille": health.device.load_permille,

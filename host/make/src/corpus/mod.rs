@@ -10,6 +10,7 @@ mod sheet;
 mod stamp;
 pub mod summary;
 mod take;
+mod verdict;
 mod visual;
 
 pub use prepare::{PrepareSettings, prepare};

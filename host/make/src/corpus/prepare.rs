@@ -102,13 +102,13 @@ impl Prepared {
 /// Prepares a corpus. Clips that cannot be read are skipped and named in the result; the error is for the whole.
 pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
-    // A folder that is not ours is refused before anything is written to it.
-    let found = match settings.corpus.is_file() {
-        true => {
-            claim(&settings.out, settings.fresh)?;
-            take::cut(&settings.corpus, &settings.out, &settings.clips, progress)?
-        }
-        false => discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?,
+    let is_take = settings.corpus.is_file();
+    let found = if is_take {
+        // Before the pieces' sound is written to it.
+        claim(&settings.out, settings.fresh)?;
+        take::cut(&settings.corpus, &settings.out, &settings.clips, progress)?
+    } else {
+        discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?
     };
     let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
     let decodes =
@@ -116,7 +116,9 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
     if found.clips.iter().any(decodes) {
         video::available().map_err(Error::other)?;
     }
-    claim(&settings.out, settings.fresh)?;
+    if !is_take {
+        claim(&settings.out, settings.fresh)?;
+    }
 
     let mut skipped = Vec::new();
     let (mut clips, start_mean) = listen(&found, settings, &pronouncer, progress, &mut skipped)?;

@@ -12,11 +12,11 @@ use rayon::prelude::*;
 
 use super::discover::ClipFiles;
 use super::prepare::{PrepareSettings, Prepared, reason};
-use super::sheet;
 use super::stamp::{self, Notes};
+use super::verdict::{self, Seen};
 use crate::error::{Context as _, Error, Result, bail};
 use crate::features::{self, Skipped, Split};
-use crate::vision::{self, Affine, ChannelMap, LipsSeen, MouthSamples, MouthTrack, Tracker};
+use crate::vision::{self, Affine, ChannelMap, MouthSamples, MouthTrack, Tracker};
 use lipstream::mouth::MouthSpace;
 use lipstream::npy;
 use lipstream::progress::{Progress, Steps};
@@ -37,59 +37,8 @@ const MOST_IMAGES: usize = 1200;
 /// How far (s) sound and pictures of a clip may differ in length.
 const LENGTHS_DIFFER_S: f64 = 1.0;
 
-/// A clip whose lips are whole in fewer of its pictures than this is one to look at.
-const SURELY_WHOLE: f32 = 0.97;
-
 /// What a clip's mouth images are vouched for by: inputs and settings in one line.
 type Stamp = String;
-
-/// A clip's mouth images as they were noted.
-struct Seen {
-    frames: usize,
-    rate_hz: f32,
-    lips: Option<LipsSeen>,
-}
-
-impl Seen {
-    /// The words of a note.
-    fn note(&self) -> String {
-        let rate = self.rate_hz.to_string();
-        match &self.lips {
-            None => rate,
-            Some(LipsSeen {
-                looked,
-                seen,
-                whole,
-                wander,
-            }) => format!("{rate} {looked} {seen} {whole} {wander}"),
-        }
-    }
-
-    fn of_note(note: &str, frames: usize) -> Option<Self> {
-        let words: Vec<&str> = note.split_whitespace().collect();
-        let lips = match words[..] {
-            [_] => None,
-            [_, looked, seen, whole, wander] => Some(LipsSeen {
-                looked: looked.parse().ok()?,
-                seen: seen.parse().ok()?,
-                whole: whole.parse().ok()?,
-                wander: wander.parse().ok()?,
-            }),
-            _ => return None,
-        };
-        Some(Self {
-            frames,
-            rate_hz: words.first()?.parse().ok()?,
-            lips,
-        })
-    }
-
-    /// Whether somebody should look at the mouths.
-    fn is_doubtful(&self) -> bool {
-        self.lips
-            .is_some_and(|lips| (lips.whole as f32) < SURELY_WHOLE * lips.seen as f32)
-    }
-}
 
 /// A speaker with video: his clips, those that his face is learnt from, and what says so.
 struct Face<'a> {
@@ -144,7 +93,7 @@ pub(super) fn see(
             skipped.last().map_or("", |s| s.reason.as_str())
         );
     }
-    show(&lips, out, progress)?;
+    verdict::show(&lips, out, progress)?;
     let (space, space_stamp) = eigenmouths(clips, &stamps, settings, progress)?;
     weigh(clips, &stamps, &space, &space_stamp, settings, progress)?;
     Ok(space.size())
@@ -167,46 +116,6 @@ fn video_stamp(source: &ClipFiles) -> Result<String> {
         Some(part) => format!("{file} {:.4}+{:.4}", part.begins_s, part.seconds),
         None => file,
     })
-}
-
-/// Writes the contact sheet, and says how surely the mouths are mouths.
-fn show(clips: &[(String, Seen)], out: &Path, progress: &dyn Progress) -> Result<()> {
-    let mut rows = Vec::new();
-    for index in sheet::chosen(clips.len()) {
-        let (id, seen) = &clips[index];
-        rows.push(sheet::Row {
-            images: features::read_mouths(&mouths_path(out, id))?,
-            look: seen.is_doubtful(),
-        });
-    }
-    sheet::write(&out.join("sheet.png"), &rows)?;
-    for (id, seen) in clips.iter().filter(|(_, seen)| seen.is_doubtful()) {
-        if let Some(lips) = seen.lips {
-            let (whole, all) = (lips.whole, lips.seen);
-            progress.say(&format!(
-                "{id}: the lips are whole in {whole} of {all} pictures: look at it in sheet.png"
-            ));
-        }
-    }
-    let judged = || clips.iter().filter_map(|(_, seen)| seen.lips);
-    let (whole, all) = judged().fold((0, 0), |(whole, all), lips| (whole + lips.whole, all + lips.seen));
-    let unknown = clips.len() - judged().count();
-    if all > 0 {
-        let mut wander: Vec<f32> = judged().map(|lips| lips.wander).collect();
-        wander.sort_by(f32::total_cmp);
-        progress.say(&format!(
-            "lips are whole in {:.1} % of {all} pictures looked at, in {} clips, and wander by {:.1} % of the mouth's width; look at sheet.png",
-            100.0 * whole as f64 / f64::from(all as u32),
-            judged().count(),
-            100.0 * wander[wander.len() / 2],
-        ));
-    }
-    if unknown > 0 {
-        progress.say(&format!(
-            "no lips were found in {unknown} clips: their mouths are where the lower face moves most; look at sheet.png"
-        ));
-    }
-    Ok(())
 }
 
 /// A clip's video, and which part of it, for people.
@@ -324,7 +233,7 @@ impl Face<'_> {
     }
 }
 
-fn mouths_path(out: &Path, id: &str) -> std::path::PathBuf {
+pub(super) fn mouths_path(out: &Path, id: &str) -> std::path::PathBuf {
     out.join("mouths").join(format!("{id}.npy"))
 }
 

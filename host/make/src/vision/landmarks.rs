@@ -138,6 +138,7 @@ impl Square {
 }
 
 /// Finds landmarks.
+#[derive(Clone, Copy)]
 pub struct LandmarkFinder {
     network: &'static Network,
 }
@@ -149,19 +150,9 @@ impl LandmarkFinder {
     ///
     /// That no picture has a face.
     pub fn in_clip(&self, frames: &Frames) -> Result<Vec<Option<Landmarks>>> {
-        let mut detector = Detector::new()?;
-        let face = detector.find_in_clip(frames)?;
-        let mut before: Option<Landmarks> = None;
-        Ok((0..frames.len())
-            .map(|index| {
-                let near = before
-                    .as_ref()
-                    .and_then(|before| self.near(frames, index, before));
-                let found = near.or_else(|| self.near_box(frames, index, face));
-                before.clone_from(&found);
-                found
-            })
-            .collect())
+        let face = Detector::new()?.find_in_clip(frames)?;
+        let mut walk = Walk::new(*self, frames);
+        Ok((0..frames.len()).map(|index| walk.at(index, [face])).collect())
     }
 
     /// Reads the network, the first time.
@@ -179,12 +170,12 @@ impl LandmarkFinder {
     }
 
     /// The landmarks of the face about `face`, in pixels of picture `index`; None where the network sees none.
-    pub(crate) fn near_box(&self, frames: &Frames, index: usize, face: FaceBox) -> Option<Landmarks> {
+    fn near_box(&self, frames: &Frames, index: usize, face: FaceBox) -> Option<Landmarks> {
         self.rounds(frames, index, Square::of_box(face), ROUNDS)
     }
 
     /// The landmarks of the face that `before` found in a picture near this one.
-    pub(crate) fn near(&self, frames: &Frames, index: usize, before: &Landmarks) -> Option<Landmarks> {
+    fn near(&self, frames: &Frames, index: usize, before: &Landmarks) -> Option<Landmarks> {
         self.rounds(frames, index, before.square(), 1)
     }
 
@@ -218,6 +209,38 @@ impl LandmarkFinder {
         let in_picture: Vec<(f32, f32)> = triples.iter().map(in_picture).collect();
         let finite = in_picture.iter().all(|(x, y)| x.is_finite() && y.is_finite());
         finite.then_some(Landmarks(in_picture))
+    }
+}
+
+/// Goes through pictures of a clip, each looked at where the face was in the one before.
+pub(crate) struct Walk<'f> {
+    finder: LandmarkFinder,
+    frames: &'f Frames,
+    before: Option<Landmarks>,
+}
+
+impl<'f> Walk<'f> {
+    pub(crate) fn new(finder: LandmarkFinder, frames: &'f Frames) -> Self {
+        Self {
+            finder,
+            frames,
+            before: None,
+        }
+    }
+
+    /// The landmarks of a picture; where there are none beside those before, `faces` say one after another where else to look.
+    pub(crate) fn at(&mut self, index: usize, faces: impl IntoIterator<Item = FaceBox>) -> Option<Landmarks> {
+        let near = self
+            .before
+            .as_ref()
+            .and_then(|before| self.finder.near(self.frames, index, before));
+        let found = near.or_else(|| {
+            faces
+                .into_iter()
+                .find_map(|face| self.finder.near_box(self.frames, index, face))
+        });
+        self.before.clone_from(&found);
+        found
     }
 }
 

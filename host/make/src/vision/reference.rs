@@ -4,7 +4,7 @@ use super::affine::Affine;
 use super::colour;
 use super::face::{Detector, FaceBox, median};
 use super::image::{Plane, luminance};
-use super::landmarks::{LandmarkFinder, Landmarks, Lips};
+use super::landmarks::{LandmarkFinder, Lips, Walk};
 use super::register::Template;
 use super::tracker::{View, follow_some};
 use crate::error::{Error, Result};
@@ -279,25 +279,17 @@ fn centre_on_average(samples: &mut [Sample], side: f32) {
 
 /// The lips in every picture, in template coordinates; None where the network sees no face.
 fn seen_lips(tracks: &[Seen], side: f32) -> Result<Vec<Option<Lips>>> {
-    let finder = LandmarkFinder::new()?;
     let mut all = Vec::new();
-    for track in tracks {
-        let frames = track.view.frames();
-        let mut before: Option<Landmarks> = None;
-        for (index, map) in &track.pictures {
-            let near = before
-                .as_ref()
-                .and_then(|before| finder.near(frames, *index, before));
-            let registered = track.view.face(map, side);
-            let found = near.or_else(|| finder.near_box(frames, *index, registered));
-            let to_template = track.view.to_frame().after(map).inverse();
+    for Seen { view, pictures } in tracks {
+        let mut walk = Walk::new(LandmarkFinder::new()?, view.frames());
+        for (index, map) in pictures {
+            let found = walk.at(*index, [view.face(map, side)]);
+            let to_template = view.to_frame().after(map).inverse();
             all.push(
                 found
-                    .as_ref()
                     .zip(to_template)
                     .map(|(landmarks, map)| landmarks.lips(&map)),
             );
-            before = found;
         }
     }
     Ok(all)

@@ -9,7 +9,7 @@ use super::affine::Affine;
 use super::colour::{self, ChannelMap};
 use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
-use super::landmarks::{LandmarkFinder, Landmarks, Lips};
+use super::landmarks::{LandmarkFinder, Landmarks, Lips, Walk};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
 use crate::error::{Result, bail};
@@ -166,20 +166,14 @@ impl Tracker {
         let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
         let in_rectangle = |map: &Affine| view.to_frame().after(map).after(&to_template).inverse();
         let step = (frames.rate_hz / LOOKS_HZ).round().max(1.0) as usize;
-        let finder = LandmarkFinder::new()?;
-        let mut before: Option<Landmarks> = None;
+        let mut walk = Walk::new(LandmarkFinder::new()?, frames);
         let looks: Vec<(usize, Option<Landmarks>)> = (0..maps.len())
             .step_by(step)
             .map(|index| {
-                let near = before
-                    .as_ref()
-                    .and_then(|before| finder.near(frames, index, before));
                 let registered = view.face(&maps[index], self.reference.side);
-                let found = near
-                    .or_else(|| finder.near_box(frames, index, registered))
-                    .or_else(|| finder.near_box(frames, index, detector.find(frames, index)?));
-                before.clone_from(&found);
-                (index, found)
+                let detected = std::iter::once_with(|| detector.find(frames, index));
+                let faces = std::iter::once(registered).chain(detected.flatten());
+                (index, walk.at(index, faces))
             })
             .collect();
         let lips = |maps: &[Affine]| -> Vec<(usize, Lips)> {
