@@ -25,6 +25,7 @@
 
 pub mod align;
 pub mod corpus;
+pub mod details;
 pub mod em;
 pub mod error;
 pub mod evaluate;

@@ -134,8 +134,64 @@ pub fn decode(path: &Path) -> Result<Frames> {
 /// [`decode`], of a part of it where one is given.
 pub fn decode_part(path: &Path, part: Option<Part>) -> Result<Frames> {
     let rate = picture_rate(path)?;
+    let (width, height, rgb) = through_ffmpeg(path, &rate, part, MAX_LINES, |out| read_pictures(out))?;
+    if rgb.is_empty() {
+        return Err(VideoError::Refused(format!(
+            "ffmpeg finds no picture in {}",
+            path.display()
+        )));
+    }
+    Ok(Frames {
+        width,
+        height,
+        rate_hz: rate_hz(path, &rate)?,
+        rgb,
+    })
+}
+
+/// Hands out the pictures of a video, or of a part of it, one by one: `each(width, height, rgb)`. Upright, square pixels, the shorter side at most `lines`.
+/// Gives the number of pictures a second.
+///
+/// # Errors
+///
+/// As [`decode`], and what `each` says, which ends it.
+pub fn each_picture<E: From<VideoError>>(
+    path: &Path,
+    part: Option<Part>,
+    lines: usize,
+    mut each: impl FnMut(usize, usize, &[u8]) -> Result<(), E>,
+) -> Result<f32, E> {
+    let rate = picture_rate(path)?;
+    let mut said = Ok(());
+    let read = through_ffmpeg(path, &rate, part, lines, |out| {
+        let mut rgb = Vec::new();
+        while let Some((width, height)) = read_ppm_header(out)? {
+            rgb.resize(width * height * 3, 0);
+            out.read_exact(&mut rgb)
+                .map_err(context("the last picture is cut off"))?;
+            said = each(width, height, &rgb);
+            if said.is_err() {
+                // Its words are those of `each`.
+                return Err(VideoError::Answer(String::new()));
+            }
+        }
+        Ok(())
+    });
+    said?;
+    read?;
+    Ok(rate_hz(path, &rate)?)
+}
+
+/// Lets ffmpeg write pictures as PPM, and `read` read them.
+fn through_ffmpeg<T>(
+    path: &Path,
+    rate: &str,
+    part: Option<Part>,
+    lines: usize,
+    read: impl FnOnce(&mut BufReader<std::process::ChildStdout>) -> Result<T>,
+) -> Result<T> {
     // What stands upright, as phones film, has its shorter side across.
-    let smaller = format!("min(1,{MAX_LINES}/min(iw*sar,ih))");
+    let smaller = format!("min(1,{lines}/min(iw*sar,ih))");
     let filter = format!(
         "fps={rate}:start_time=0,scale=w='trunc(iw*sar*{smaller}/2+0.5)*2':h='if(lt({smaller},1),trunc(ih*{smaller}/2+0.5)*2,ih)',setsar=1"
     );
@@ -175,31 +231,30 @@ pub fn decode_part(path: &Path, part: Option<Part>) -> Result<Frames> {
         let _ = err.read_to_end(&mut text);
         text
     });
-    let pictures = read_pictures(&mut BufReader::with_capacity(1 << 20, out));
+    let pictures = read(&mut BufReader::with_capacity(1 << 20, out));
     if pictures.is_err() {
         let _ = child.kill();
     }
     let status = child.wait()?;
     let messages = messages.join().unwrap_or_default();
-    let (width, height, rgb) = pictures.map_err(context(format!("cannot decode {}", path.display())))?;
-    if !status.success() || rgb.is_empty() {
+    let pictures = pictures.map_err(context(format!("cannot decode {}", path.display())))?;
+    if !status.success() {
         return Err(VideoError::Refused(format!(
             "ffmpeg cannot decode {}: {}",
             path.display(),
             last_line(&messages)
         )));
     }
-    let rate_hz = ratio(&rate).ok_or_else(|| {
+    Ok(pictures)
+}
+
+/// The picture rate as a number.
+fn rate_hz(path: &Path, rate: &str) -> Result<f32> {
+    ratio(rate).ok_or_else(|| {
         VideoError::Answer(format!(
             "{}: ffprobe calls its picture rate {rate:?}",
             path.display()
         ))
-    })?;
-    Ok(Frames {
-        width,
-        height,
-        rate_hz,
-        rgb,
     })
 }
 

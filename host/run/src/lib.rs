@@ -32,6 +32,7 @@
 #![deny(unsafe_code)]
 #![warn(missing_docs)]
 
+pub mod affine;
 pub mod cues;
 pub mod engine;
 pub mod error;

@@ -122,3 +122,37 @@ choice! {
         Json,
     }
 }
+
+choice! {
+    /// Whose mouth is put onto a recording.
+    Whose for lipstream::render::face::Whose {
+        /// The recording's, moved by the model's eigenmouths: the model was trained on whom it shows
+        Trained,
+        /// The recording's, chosen from its pictures by how open and wide the model's is
+        Opened,
+        /// The model's, in the recording's light
+        Models,
+    }
+}
+
+/// How a recording's fine detail is put onto mouths.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Detail {
+    /// Eigenmouths alone
+    None,
+    /// That of the most similar mouth, picture by picture
+    Nearest,
+    /// Chosen over time, so that it does not flicker
+    Smooth,
+}
+
+/// What a recording's lower face follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Jaw {
+    /// Nothing: it stays as it was recorded
+    Still,
+    /// The sound's energy
+    Sound,
+    /// The drawn mouth
+    Mouth,
+}

@@ -151,7 +151,12 @@ fn images(folder: &FeatureFolder, clip: &Clip) -> Result<Array4<u8>> {
 }
 
 /// From at most [`IMAGES`] images, spread over the speaker's training clips (or over all that he has).
-fn learn_lips(folder: &FeatureFolder, speaker: &str) -> Result<Lips> {
+/// The lips of a speaker, from some of his mouth images: of training clips, where he has any.
+///
+/// # Errors
+///
+/// [`Error::Data`]: no lips stand out in them, or they differ in size; and files that cannot be read.
+pub fn learn_lips(folder: &FeatureFolder, speaker: &str) -> Result<Lips> {
     let own: Vec<&Clip> = filmed(folder).filter(|c| c.speaker == speaker).collect();
     let train: Vec<&Clip> = own.iter().copied().filter(|c| c.split == Split::Train).collect();
     let clips = if train.is_empty() { own } else { train };

@@ -10,6 +10,7 @@ pub mod look_ahead;
 mod measure;
 pub mod metrics;
 pub mod models;
+pub mod pictures;
 pub mod plot;
 pub mod report;
 pub mod ridge;

@@ -157,7 +157,8 @@ fn largest(values: ArrayView1<f32>) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vision::{Affine, ChannelMap};
+    use crate::vision::ChannelMap;
+    use lipstream::affine::Affine;
 
     const SIZE: (usize, usize) = (8, 6);
     const PIXELS: usize = 8 * 6 * 3;

@@ -6,10 +6,10 @@ use std::sync::OnceLock;
 
 use ndarray::Array3;
 
-use super::affine::Affine;
 use super::face::{Detector, FaceBox};
 use super::network::Network;
 use crate::error::{Error, Result};
+use lipstream::affine::Affine;
 use lipstream_media::video::Frames;
 
 /// The file as it lies in the npm package `@mediapipe/face_mesh` 0.4.1657299874.
@@ -26,6 +26,10 @@ const EYES: [usize; 2] = [33, 263];
 const INNER_LIPS: [usize; 2] = [13, 14];
 /// Tip of the nose's base, above the upper lip.
 const NOSE_BASE: usize = 2;
+/// Tip of the chin.
+const CHIN: usize = 152;
+/// Edges of the face at the height of the lips, left in the picture first.
+const SIDES: [usize; 2] = [58, 288];
 /// The square is so much larger than what it holds.
 const MARGIN: f32 = 1.5;
 /// Times that a square is laid anew around the points that were found in it.
@@ -82,6 +86,37 @@ impl Landmarks {
             anchor: between(middle, at(NOSE_BASE)),
             gap: (lower.0 - upper.0).hypot(lower.1 - upper.1),
         }
+    }
+
+    /// Base of the nose, chin, left and right edge of the face at the height of the lips, each through `map`.
+    pub(crate) fn lower_face(&self, map: &Affine) -> [(f32, f32); 4] {
+        [NOSE_BASE, CHIN, SIDES[0], SIDES[1]].map(|index| {
+            let (x, y) = self.0[index];
+            map.apply(x, y)
+        })
+    }
+
+    /// How far the jaw hangs: from the nose's base to the chin, over the distance between the outer corners of the eyes.
+    pub fn jaw(&self) -> f32 {
+        let apart = |a: usize, b: usize| (self.0[a].0 - self.0[b].0).hypot(self.0[a].1 - self.0[b].1);
+        apart(NOSE_BASE, CHIN) / apart(EYES[0], EYES[1]).max(1e-3)
+    }
+
+    /// Gap between the inner lips and distance of the lips' corners, over the distance between the outer corners of the eyes.
+    pub fn opening(&self) -> (f32, f32) {
+        let apart = |a: usize, b: usize| (self.0[a].0 - self.0[b].0).hypot(self.0[a].1 - self.0[b].1);
+        let eyes = apart(EYES[0], EYES[1]).max(1e-3);
+        let gap = apart(INNER_LIPS[0], INNER_LIPS[1]);
+        (gap / eyes, apart(OUTER_LIPS[0], OUTER_LIPS[10]) / eyes)
+    }
+
+    /// How far the head is turned: where the nose's base lies between the outer corners of the eyes, -1 at the left one in the picture, 1 at the right one.
+    pub fn turned(&self) -> f32 {
+        let [(ax, ay), (bx, by)] = EYES.map(|index| self.0[index]);
+        let (x, y) = self.0[NOSE_BASE];
+        let (dx, dy) = (bx - ax, by - ay);
+        let along = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy).max(1e-3);
+        2.0 * along - 1.0
     }
 
     /// The square to look in for the next picture.

@@ -1,8 +1,8 @@
 //! Video to steady, colour-normalised mouth images and eigenmouths, without manual work (`docs/design.md` section 7).
-mod affine;
 mod colour;
 mod eigen;
 mod face;
+mod footage;
 mod image;
 mod landmarks;
 mod network;
@@ -10,8 +10,8 @@ mod reference;
 mod register;
 mod tracker;
 
-pub use affine::Affine;
 pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths};
+pub use footage::{LONGEST_S, footage};
 pub use landmarks::{LandmarkFinder, Landmarks};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};

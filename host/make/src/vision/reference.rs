@@ -1,6 +1,5 @@
 //! What one speaker's clips have in common: the upper-face template, the mouth's place, the colours.
 
-use super::affine::Affine;
 use super::colour;
 use super::face::{Detector, FaceBox, median};
 use super::image::{Plane, luminance};
@@ -8,6 +7,7 @@ use super::landmarks::{LandmarkFinder, Lips, Walk};
 use super::register::Template;
 use super::tracker::{View, follow_some};
 use crate::error::{Error, Result};
+use lipstream::affine::Affine;
 use lipstream_media::video::Frames;
 
 /// Widest face box of a template: a mouth of 90 × 68 pixels.

@@ -4,9 +4,9 @@
 //! from template to picture, the picture's samples i = I(M·x) are explained as g·T + b + error, whatever the gain g and the
 //! level b. With the steepest-descent images made orthogonal to T and to 1 beforehand (J), the step is
 //! Δp = (JᵀwJ)⁻¹ Jᵀw i / g and the update M ← M·W(Δp)⁻¹.
+use lipstream::affine::Affine;
 use nalgebra::{SMatrix, SVector};
 
-use super::affine::Affine;
 use super::image::{Plane, Pyramid};
 
 /// Levels of the pyramid: the coarsest sees a face of some 30 pixels.

@@ -5,7 +5,6 @@
 //! registration. Where lips are seen the rectangle slowly follows them (a head that turns shifts the mouth against the brows), and what was
 //! seen says whether it is on the mouth at all.
 
-use super::affine::Affine;
 use super::colour::{self, ChannelMap};
 use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
@@ -13,6 +12,7 @@ use super::landmarks::{LandmarkFinder, Landmarks, Lips, Walk};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
 use crate::error::{Result, bail};
+use lipstream::affine::Affine;
 use lipstream_media::video::Frames;
 
 /// A registration below this correlation with the template has lost the face.

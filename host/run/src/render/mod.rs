@@ -5,7 +5,7 @@
 //! of a recording for the middle of its exposure.
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_media::sink::{Film, Mp4Bytes, Soundtrack};
-use ndarray::{Array1, ArrayView1, ArrayView2};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 
 use crate::error::{Error, Result, bail};
 use crate::mouth::MouthSpace;
@@ -14,8 +14,10 @@ use crate::progress::{Progress, Steps};
 use crate::{parameters, time};
 
 pub mod drawn;
+pub mod face;
 pub mod page;
 mod painter;
+pub mod refine;
 
 pub use painter::Painter;
 
@@ -208,6 +210,67 @@ impl<'a> Player<'a> {
     }
 }
 
+/// A scene that draws nothing and keeps what each picture would have shown: for scenes that want to know beforehand.
+pub struct Tracks {
+    n_parameters: usize,
+    values: Vec<f32>,
+}
+
+impl Tracks {
+    /// Of `n_parameters` each.
+    pub fn new(n_parameters: usize) -> Self {
+        Self {
+            n_parameters,
+            values: Vec::new(),
+        }
+    }
+
+    /// `[pictures, D]`.
+    pub fn into_rows(self) -> Array2<f32> {
+        let pictures = self.values.len() / self.n_parameters.max(1);
+        Array2::from_shape_vec((pictures, self.n_parameters), self.values).unwrap_or_default()
+    }
+}
+
+impl Scene for Tracks {
+    fn size(&self) -> (usize, usize) {
+        (0, 0)
+    }
+
+    fn n_parameters(&self) -> usize {
+        self.n_parameters
+    }
+
+    fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>> {
+        self.values.extend(parameters);
+        Ok(Vec::new())
+    }
+}
+
+/// Energy of a sound around each of `pictures` pictures, decibels over one step of a sample.
+///
+/// # Errors
+///
+/// That the sound cannot be read.
+pub fn energy(sound: &Soundtrack, fps: u32, pictures: usize) -> Result<Vec<f32>> {
+    let mut sums = vec![(0.0f64, 0u32); pictures];
+    let mut at = 0u64;
+    sound
+        .each(|samples| {
+            for sample in samples {
+                let picture = (at * u64::from(fps) / u64::from(SAMPLE_RATE_HZ)) as usize;
+                if let Some((sum, count)) = sums.get_mut(picture) {
+                    (*sum, *count) = (*sum + f64::from(*sample).powi(2), *count + 1);
+                }
+                at += 1;
+            }
+            Ok::<(), lipstream_media::sound::SoundError>(())
+        })
+        .map_err(Error::other)?;
+    let loud = |(sum, count): (f64, u32)| (10.0 * (sum / f64::from(count.max(1)) + 1.0).log10()) as f32;
+    Ok(sums.into_iter().map(loud).collect())
+}
+
 /// A finished video and what was drawn for it.
 pub struct Rendered {
     /// The video file's bytes.
@@ -284,11 +347,16 @@ pub fn to_mp4(
 
 /// What a sink has to know of a scene.
 pub fn film<'s>(scene: &dyn Scene, settings: &Settings, sound: Option<Soundtrack<'s>>) -> Film<'s> {
+    film_of(scene, settings.fps, sound)
+}
+
+/// What a sink has to know of a scene that has no settings of the mouth's.
+pub fn film_of<'s>(scene: &dyn Scene, fps: u32, sound: Option<Soundtrack<'s>>) -> Film<'s> {
     let (width, height) = scene.size();
     Film {
         width,
         height,
-        fps: settings.fps,
+        fps,
         sound,
     }
 }

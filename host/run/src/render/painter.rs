@@ -1,10 +1,11 @@
 //! One picture: PCA expansion (X&L eq. 16), camera noise (section 6.1), enlargement.
-use ndarray::ArrayView1;
+use ndarray::{ArrayView1, ArrayView2};
 use rand::SeedableRng as _;
 use rand_pcg::Pcg32;
 use resize::Pixel;
 use resize::px::RGB;
 
+use super::refine::{Candidates, Choice};
 use super::{Scene, Settings};
 use crate::error::{Context as _, Result, bail};
 use crate::mouth::MouthSpace;
@@ -18,6 +19,17 @@ pub struct Painter<'a> {
     height: usize,
     noise: f32,
     random: Pcg32,
+    details: Option<Details>,
+    /// Pictures drawn so far.
+    drawn: usize,
+}
+
+/// Fine detail for a film that is known beforehand.
+struct Details {
+    candidates: Candidates,
+    choice: Choice,
+    /// Candidate of each picture.
+    way: Vec<usize>,
 }
 
 impl<'a> Painter<'a> {
@@ -49,7 +61,38 @@ impl<'a> Painter<'a> {
             noise: settings.noise,
             // The same parameters give the same video.
             random: Pcg32::seed_from_u64(7),
+            details: None,
+            drawn: 0,
         })
+    }
+
+    /// Puts the fine detail of recorded mouths onto the pictures of `tracks` `[T, D]` (X&L section 6.1), which are to be drawn one after another.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Data`](crate::Error::Data): the candidates are of other eigenmouths.
+    pub fn with_details(
+        mut self,
+        candidates: Candidates,
+        tracks: ArrayView2<f32>,
+        choice: Choice,
+    ) -> Result<Self> {
+        let (parameters, levels) = (self.space.size(), self.space.mean.len());
+        if (candidates.n_parameters(), candidates.n_levels()) != (parameters, levels) {
+            bail!(
+                Data,
+                "candidates of {} parameters and {} levels for a mouth of {parameters} and {levels}",
+                candidates.n_parameters(),
+                candidates.n_levels()
+            );
+        }
+        let way = candidates.choose(tracks, choice);
+        self.details = Some(Details {
+            candidates,
+            choice,
+            way,
+        });
+        Ok(self)
     }
 }
 
@@ -65,6 +108,12 @@ impl Scene for Painter<'_> {
     /// From eigenmouth weights `[D]`.
     fn draw(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
         let mut image = self.space.expand(weights);
+        if let Some(details) = &self.details
+            && self.drawn < details.way.len()
+        {
+            image += &ArrayView1::from(&details.candidates.shown(&details.way, self.drawn, details.choice));
+        }
+        self.drawn += 1;
         if self.noise > 0.0 {
             for value in &mut image {
                 *value += self.noise * normal(&mut self.random);
@@ -138,6 +187,40 @@ mod tests {
         // Rounding to whole levels adds 1/12.
         assert!((mean - 100.0).abs() < 0.2, "{mean}");
         assert!((variance.sqrt() - 5.0).abs() < 0.2, "{variance}");
+    }
+
+    #[test]
+    fn the_detail_of_the_nearest_mouth_comes_back() {
+        let space = flat();
+        let settings = Settings {
+            scale: Some(1),
+            ..Settings::default()
+        };
+        let levels = space.mean.len();
+        let weights = array![[0.0], [50.0]];
+        let details = Array2::from_shape_fn(
+            (2, levels),
+            |(k, p)| if p / 3 == 5 { 20.0 * k as f32 } else { 0.0 },
+        );
+        let candidates = Candidates::new(weights, details.view()).unwrap();
+        let tracks = array![[1.0], [49.0]];
+        let painter = Painter::new(&space, &settings).unwrap();
+        let mut painter = painter
+            .with_details(candidates.clone(), tracks.view(), Choice::FrameWise)
+            .unwrap();
+        let first = painter.draw(tracks.row(0)).unwrap();
+        let second = painter.draw(tracks.row(1)).unwrap();
+        assert!(first.iter().all(|level| *level == 101));
+        assert_eq!((second[3 * 5], second[3 * 6]), (169, 149));
+        // Behind what was planned there is none.
+        assert_eq!(painter.draw(tracks.row(1)).unwrap()[3 * 5], 149);
+        let other = Candidates::new(array![[0.0]], Array2::zeros((1, 9)).view()).unwrap();
+        let painter = Painter::new(&space, &settings).unwrap();
+        assert!(
+            painter
+                .with_details(other, tracks.view(), Choice::FrameWise)
+                .is_err()
+        );
     }
 
     #[test]

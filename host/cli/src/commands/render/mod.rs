@@ -1,0 +1,201 @@
+//! `lipstream render`: a video of the mouth, or of a face with it, with sound.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+
+use super::choices;
+use super::streams::{ending, file_name, is_standard, name, read_sound, say};
+use crate::progress::Terminal;
+use lipstream::cues;
+use lipstream::engine::{Converted, Engine, RunSettings};
+use lipstream::mouth::MouthSpace;
+use lipstream::render::{self, Painter, Scene as _, Settings, page};
+use lipstream::tensors::Tensors;
+use lipstream::{parameters, time};
+use lipstream_make::details;
+use lipstream_make::features::FeatureFolder;
+use lipstream_media::files;
+use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink};
+
+mod face;
+mod source;
+
+use source::{Sound, Source};
+
+/// Draw the mouth that speech or parameters describe
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
+    /// - is speech on standard input
+    input: PathBuf,
+    /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
+    #[arg(short, long)]
+    model: PathBuf,
+    /// Where to: .mp4, .html (a page that plays it), FOLDER/ (numbered PNG files), - (raw rgb24 pictures on standard output); every
+    /// other video format needs ffmpeg
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Sound of the video, when the input is parameters
+    #[arg(long)]
+    audio: Option<PathBuf>,
+    /// Arithmetic, when the input is speech
+    #[arg(long, value_enum, default_value_t = choices::Engine::Fixed)]
+    engine: choices::Engine,
+    /// Pictures a second
+    #[arg(long, default_value_t = 25)]
+    fps: u32,
+    /// Times the size of the eigenmouths [default: about 384 pixels wide]
+    #[arg(long)]
+    scale: Option<usize>,
+    /// Camera noise, standard deviation in levels of 0..255 (real cameras: 1 to 3) [default: none; on a recording what the drawn mouth lacks against it]
+    #[arg(long)]
+    noise: Option<f32>,
+    #[command(flatten)]
+    face: face::FaceArgs,
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    let settings = Settings {
+        fps: args.fps,
+        scale: args.scale,
+        noise: args.noise.unwrap_or(0.0),
+    };
+    let tensors = Tensors::read(&args.model)?;
+    let space = mouth(&tensors, &args.model)?;
+    settings.size(&space)?;
+    let of_speech = !["stream", "npy"].contains(&ending(&args.input).as_str());
+    if args.audio.is_some() && of_speech {
+        bail!("--audio goes with parameters (.npy); speech is its own sound");
+    }
+    let drawn = match (ending(&args.output).as_str(), &args.face.background) {
+        ("html", _) if !of_speech => {
+            bail!("a page shows what the model hears: give speech, not parameters or a recorded stream")
+        }
+        ("html", Some(_)) => bail!("a page shows the mouth alone: leave --background out, or write a video"),
+        ("html", None) => page(&args, &space, &settings)?,
+        (_, background) => {
+            if background.is_some() && args.scale.is_some() {
+                bail!("--scale is of the mouth alone: a face has the size of its background");
+            }
+            let (source, sound) = source::open(&args, &tensors)?;
+            match background {
+                Some(video) => face::draw(&args, video, &space, source, &sound)?,
+                None => alone(&args, &space, &settings, source, &sound)?,
+            }
+        }
+    };
+    let Drawn {
+        pictures,
+        size: (width, height),
+        sound,
+    } = drawn;
+    say(
+        &args.output,
+        &format!(
+            "{pictures} pictures of {width}×{height}, {:.2} s{}",
+            pictures as f64 / f64::from(args.fps),
+            if sound {
+                ""
+            } else {
+                ", without sound (--audio WAV adds it)"
+            }
+        ),
+    );
+    Ok(())
+}
+
+/// What was made.
+struct Drawn {
+    pictures: usize,
+    /// Width and height.
+    size: (usize, usize),
+    /// Whether there is a sound to it.
+    sound: bool,
+}
+
+/// A film of the mouth alone.
+fn alone(
+    args: &Args,
+    space: &MouthSpace,
+    settings: &Settings,
+    mut source: Source,
+    sound: &Sound,
+) -> Result<Drawn> {
+    let mut scene = Painter::new(space, settings)?;
+    if let (Some(folder), Some(choice)) = (&args.face.detail_from, args.face.detail()) {
+        let tracks = face::tracks(args, space, &mut source, sound)?;
+        let candidates = details::candidates(&FeatureFolder::open(folder)?, space, &Terminal::default())?;
+        let mut scene = scene.with_details(candidates, tracks.view(), choice)?;
+        return face::film(args, &mut scene, &tracks, sound);
+    }
+    let size = scene.size();
+    let mut sink = sink(&args.output, &render::film(&scene, settings, sound.track()))?;
+    let pictures = source.play(args, sound, &mut scene, |rgb| Ok(sink.picture(rgb)?))?;
+    sink.finish()?;
+    Ok(Drawn {
+        pictures,
+        size,
+        sound: sound.track().is_some(),
+    })
+}
+
+/// A page, which carries its film: it is made in memory.
+fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
+    let sound = read_sound(&args.input)?;
+    let engine = Engine::open(&args.model, args.engine.into())?;
+    let Converted { parameters, visemes } = engine.convert(&sound, &RunSettings::default())?;
+    parameters::check(parameters.view()).with_context(|| format!("{} gives no mouth", name(&args.input)))?;
+    let rendered = render::to_mp4(
+        space,
+        parameters.view(),
+        Some(&sound),
+        settings,
+        &Terminal::default(),
+    )?;
+    let text = page::write(&page::Page {
+        title: &file_name(&args.input),
+        mp4: &rendered.mp4,
+        sound: &sound,
+        viseme_weights: visemes.view(),
+        parameters: parameters.view(),
+        deviation: space.deviation.view(),
+        cues: &cues::cues(visemes.view(), time::seconds(sound.len()))?,
+    })?;
+    files::write_bytes(&args.output, text.as_bytes())?;
+    Ok(Drawn {
+        pictures: rendered.pictures,
+        size: (rendered.width, rendered.height),
+        sound: true,
+    })
+}
+
+/// Where the pictures go, by the output's name.
+fn sink(output: &Path, film: &Film) -> Result<Box<dyn Sink>> {
+    if is_standard(output) {
+        return Ok(Box::new(RawFrames::new(std::io::BufWriter::new(
+            std::io::stdout(),
+        ))));
+    }
+    let is_folder = output
+        .as_os_str()
+        .to_string_lossy()
+        .ends_with(std::path::is_separator);
+    if is_folder {
+        return Ok(Box::new(PngFrames::new(output, film)?));
+    }
+    Ok(match ending(output).as_str() {
+        "mp4" => Box::new(Mp4::new(output, film)?),
+        _ => Box::new(Ffmpeg::new(output, film)?),
+    })
+}
+
+/// The mouth of a model or of a feature folder.
+fn mouth(tensors: &Tensors, path: &Path) -> Result<MouthSpace> {
+    if !tensors.has("mouth.mean") {
+        bail!(
+            "{} has no mouth: it was trained on plain visual numbers, which cannot be drawn",
+            path.display()
+        );
+    }
+    MouthSpace::load(tensors).with_context(|| format!("{} is no usable model", path.display()))
+}

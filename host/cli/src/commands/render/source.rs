@@ -1,0 +1,170 @@
+//! What moves a mouth (speech, parameters, a recorded stream), and the sound to it.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use lipstream::engine::{Engine, FloatModel, RunSettings};
+use lipstream::parameters;
+use lipstream::progress::Steps;
+use lipstream::render::{self, Player, Scene};
+use lipstream::session::Frame;
+use lipstream::tensors::Tensors;
+use lipstream_live::recording::Recording;
+use lipstream_media::sink::Soundtrack;
+use ndarray::Array2;
+
+use super::super::convert;
+use super::super::streams::{ending, name, read_sound};
+use super::Args;
+use crate::progress::Terminal;
+
+/// What moves the mouth.
+pub(super) enum Source {
+    /// Parameters that were converted before, `[frames, D]`, 100 a second.
+    Parameters(Array2<f32>),
+    /// A recorded stream.
+    Stream(Box<Recording>),
+    /// Speech, which the model hears.
+    Speech(Box<Engine>),
+}
+
+/// The sound to it.
+pub(super) enum Sound {
+    None,
+    Samples(Vec<i16>),
+    File(PathBuf),
+}
+
+impl Sound {
+    pub(super) fn track(&self) -> Option<Soundtrack<'_>> {
+        match self {
+            Sound::None => None,
+            Sound::Samples(samples) => Some(Soundtrack::Samples(samples)),
+            Sound::File(path) => Some(Soundtrack::File(path)),
+        }
+    }
+
+    /// Number of samples, where there is a sound.
+    pub(super) fn length(&self) -> Result<Option<usize>> {
+        Ok(self.track().map(|track| track.samples()).transpose()?)
+    }
+}
+
+/// Source and sound that the arguments name.
+pub(super) fn open(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
+    match ending(&args.input).as_str() {
+        "stream" => of_stream(args, tensors),
+        "npy" => {
+            let sound = match &args.audio {
+                Some(path) => Sound::Samples(read_sound(path)?),
+                None => Sound::None,
+            };
+            Ok((Source::Parameters(parameters::read(&args.input)?), sound))
+        }
+        _ => {
+            // What can be read only once is kept.
+            let sound = match args.input.is_file() {
+                true => Sound::File(args.input.clone()),
+                false => Sound::Samples(read_sound(&args.input)?),
+            };
+            // A sound that cannot be read is named before the model is made ready.
+            sound.length()?;
+            let engine = Engine::open(&args.model, args.engine.into())?;
+            Ok((Source::Speech(Box::new(engine)), sound))
+        }
+    }
+}
+
+/// A recorded stream, with the sound beside it if there is one.
+fn of_stream(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
+    let recording = Recording::open(&args.input)?;
+    check_model(tensors, &args.model, recording.hello().model)?;
+    let beside = args.input.with_extension("wav");
+    let sound = match &args.audio {
+        Some(path) => Sound::File(path.clone()),
+        None if beside.is_file() => Sound::File(beside),
+        None => Sound::None,
+    };
+    Ok((Source::Stream(Box::new(recording)), sound))
+}
+
+/// A stream can only be drawn with the mouth of the model that it came from.
+fn check_model(tensors: &Tensors, path: &Path, id: u32) -> Result<()> {
+    let Ok(model) = FloatModel::of_tensors(tensors) else {
+        // The mouth.safetensors of a feature folder is no model, and knows of none.
+        return Ok(());
+    };
+    let engine = Engine::fixed(model.export(false)?)?;
+    let ours = engine.model_id().unwrap_or_default();
+    if ours != id {
+        bail!(
+            "the stream is of model {id:08x}, {} is {ours:08x}: draw it with the model that the device runs",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
+impl Source {
+    /// Plays all of it into a scene; `each` is called with every picture. Gives their number.
+    pub(super) fn play(
+        &mut self,
+        args: &Args,
+        sound: &Sound,
+        scene: &mut dyn Scene,
+        mut each: impl FnMut(&[u8]) -> Result<()>,
+    ) -> Result<usize> {
+        let length = sound.length()?;
+        match self {
+            Source::Parameters(tracks) => {
+                render::play(scene, tracks.view(), args.fps, length, each, &Terminal::default())
+            }
+            Source::Stream(recording) => {
+                let mut player = Player::new(scene, args.fps, length);
+                let played = recording.play(|parameters, _| player.frame(parameters, &mut each))?;
+                if played.frames == 0 {
+                    bail!("{} holds no frame", args.input.display());
+                }
+                player.finish(&mut each)?;
+                if played.began_anew || played.between > 0 {
+                    eprintln!("{}{}", convert::told(&played), convert::anew(&played));
+                }
+                Ok(player.pictures())
+            }
+            Source::Speech(engine) => of_speech(engine, args, sound, scene, each),
+        }
+    }
+}
+
+/// Speech, which is read piece by piece.
+fn of_speech(
+    engine: &Engine,
+    args: &Args,
+    sound: &Sound,
+    scene: &mut dyn Scene,
+    mut each: impl FnMut(&[u8]) -> Result<()>,
+) -> Result<usize> {
+    let Some(track) = sound.track() else { return Ok(0) };
+    let length = track.samples()?;
+    let all = render::length(length, args.fps);
+    let mut session = engine.session(&RunSettings::default())?;
+    let mut player = Player::new(scene, args.fps, Some(length));
+    let terminal = Terminal::default();
+    let steps = Steps::begin(&terminal, render::PICTURES, all);
+    let mut picture = |rgb: &[u8]| {
+        each(rgb)?;
+        steps.made();
+        Ok(())
+    };
+    let mut drawn = anyhow::Ok(());
+    let mut take = |frame: Frame| {
+        if drawn.is_ok() {
+            drawn = player.frame(frame.parameters, &mut picture);
+        }
+    };
+    track.each(|piece| Ok::<_, anyhow::Error>(session.push(piece, &mut take)?))?;
+    session.finish(&mut take)?;
+    drawn
+        .and_then(|()| player.finish(&mut picture))
+        .with_context(|| format!("{} gives no mouth", name(&args.input)))?;
+    Ok(all)
+}

@@ -1,0 +1,25 @@
+//! A whole face: the drawn mouth cloned onto a recording of somebody (X&L section 6.2).
+//!
+//! ```text
+//! recording ─► Footage: pictures, and where mouth and jaw lie in each (found by `lipstream-make`)
+//!                 │
+//!                 ├─► Course      which recorded picture is shown when, for any length of time
+//!                 ├─► Mouths      the recording's own mouths: how they look at its resolution, their fine detail
+//!                 └─► jaws        lower faces, of which one is chosen for each picture
+//! parameters ─► Plan ─► FaceScene: background ◄─clone─ lower face ◄─clone─ mouth
+//! ```
+mod course;
+mod footage;
+mod jaw;
+mod layer;
+mod membrane;
+mod mouths;
+mod scene;
+
+pub use course::{Course, Moment};
+pub use footage::{Footage, Jaw, Pictures, Place};
+pub use jaw::JawBy;
+pub use layer::{Bytes, Floats, Region, Sampled};
+pub use membrane::Membrane;
+pub use mouths::{Fit, Mouths, Whose};
+pub use scene::{FaceScene, FaceSettings, Wanted};
