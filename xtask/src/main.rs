@@ -5,6 +5,7 @@
 //! | `bless` | Writes the vectors of `tests/src/stream.rs` anew. |
 //! | `beam` | Active joint states per frame against the width of the beam: `beam TABLES WAV...`. |
 //! | `cost` | What front end, stream and firmware cost on Cortex-M, counted in QEMU: writes `docs/cost.md`, or checks it. |
+//! | `faces` | Faces drawn onto a background against recordings of the same sentences. |
 //! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
@@ -17,6 +18,7 @@ use anyhow::{Result, bail};
 mod beam;
 mod bless;
 mod cost;
+mod faces;
 mod feedback;
 mod fidelity;
 mod gate;
@@ -33,6 +35,7 @@ const TOOLS: &[Tool] = &[
     ("beam", beam::run),
     ("bless", bless::run),
     ("cost", cost::run),
+    ("faces", faces::run),
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),
     ("gate", gate::run),

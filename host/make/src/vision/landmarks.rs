@@ -110,6 +110,19 @@ impl Landmarks {
         (gap / eyes, apart(OUTER_LIPS[0], OUTER_LIPS[10]) / eyes)
     }
 
+    /// The outer lips in the face's own coordinates: from the base of the nose, along the line of the eyes, over their distance.
+    pub fn lips_in_face(&self) -> Vec<(f32, f32)> {
+        let [(ax, ay), (bx, by)] = EYES.map(|index| self.0[index]);
+        let (dx, dy) = (bx - ax, by - ay);
+        let square = (dx * dx + dy * dy).max(1e-3);
+        let nose = self.0[NOSE_BASE];
+        let of = |index: usize| {
+            let (x, y) = (self.0[index].0 - nose.0, self.0[index].1 - nose.1);
+            ((x * dx + y * dy) / square, (y * dx - x * dy) / square)
+        };
+        OUTER_LIPS.map(of).into()
+    }
+
     /// How far the head is turned: where the nose's base lies between the outer corners of the eyes, -1 at the left one in the picture, 1 at the right one.
     pub fn turned(&self) -> f32 {
         let [(ax, ay), (bx, by)] = EYES.map(|index| self.0[index]);

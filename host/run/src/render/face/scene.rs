@@ -163,6 +163,24 @@ impl<'a> FaceScene<'a> {
         self.noise
     }
 
+    /// Picture `n` of the film before anything is drawn onto it, and where the mouth's rectangle lies in it.
+    ///
+    /// # Errors
+    ///
+    /// That the recording cannot be read.
+    pub fn undrawn(&mut self, n: usize) -> Result<(Vec<u8>, Affine)> {
+        self.background(self.course.at(middle(n, self.fps)))
+    }
+
+    /// Whether something is drawn at a place of the mouth's rectangle.
+    pub fn covers(&self, x: f32, y: f32) -> bool {
+        let jaw = self
+            .jaws
+            .as_ref()
+            .is_some_and(|jaws| jaws.region.opacity(x, y) > 0.0);
+        jaw || self.region.opacity(x, y) > 0.0
+    }
+
     /// The background at a moment, and where the mouth's rectangle lies in it.
     fn background(&mut self, moment: Moment) -> Result<(Vec<u8>, Affine)> {
         let size = self.footage.pictures.size();
