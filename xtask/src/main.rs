@@ -8,6 +8,7 @@
 //! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
+//! | `recognition` | Phone recognition under several settings, against labels. |
 //! | `strangers` | Other talkers through a model of one: how well its lip gap follows the gap of their own mouths. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
@@ -20,6 +21,7 @@ mod feedback;
 mod fidelity;
 mod gate;
 mod generated;
+mod recognition;
 mod strangers;
 mod tables;
 mod vectors;
@@ -34,6 +36,7 @@ const TOOLS: &[Tool] = &[
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),
     ("gate", gate::run),
+    ("recognition", recognition::run),
     ("strangers", strangers::run),
     ("tables", tables::run),
     ("vectors", vectors::run),

@@ -13,5 +13,5 @@ mod tracker;
 pub use affine::Affine;
 pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths};
-pub use landmarks::{LandmarkFinder, Landmarks};
+pub use landmarks::{LandmarkFinder, Landmarks, Outline};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};
