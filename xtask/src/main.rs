@@ -10,6 +10,7 @@
 //! | `fidelity` | What the device costs a model, step by step. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
+//! | `recognition` | Phone recognition under several settings, against labels. |
 //! | `strangers` | Other talkers through a model of one: how well its lip gap follows the gap of their own mouths. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
@@ -24,6 +25,7 @@ mod fidelity;
 mod gate;
 mod generated;
 mod pictures;
+mod recognition;
 mod strangers;
 mod tables;
 mod vectors;
@@ -40,6 +42,7 @@ const TOOLS: &[Tool] = &[
     ("fidelity", fidelity::run),
     ("gate", gate::run),
     ("pictures", pictures::run),
+    ("recognition", recognition::run),
     ("strangers", strangers::run),
     ("tables", tables::run),
     ("vectors", vectors::run),

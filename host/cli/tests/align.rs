@@ -267,10 +267,74 @@ fn what_cannot_be_aligned_is_said() {
     std::fs::write(&broken, damaged).unwrap();
     assert!(AudioHmm::read(&broken).is_err());
     let silence = vec![0i16; 16_000];
-    let aligner = Aligner::new(&hmm);
+    let aligner = Aligner::new(hmm);
     let spoken = folder_words(&words);
     let quiet = aligner.words(&silence, &spoken).unwrap();
     assert!(quiet.phones.windows(2).all(|p| p[0].end <= p[1].start + 1e-9));
+}
+
+/// Phones without a text: a model of the language's five phones hears most of what was made, and the score says how much.
+#[test]
+fn phones_are_recognised_without_a_text() {
+    let scratch = tempfile::tempdir().unwrap();
+    let root = scratch.path();
+    let folder = features(root);
+    let settings = train::AudioHmmSettings {
+        mixtures: 1,
+        ..Default::default()
+    };
+    let model = root.join("audio.safetensors");
+    train::train(&folder, &settings, None, &())
+        .unwrap()
+        .write(&model)
+        .unwrap();
+    let (_, samples, begins) = sentence(&mut Pcg64::seed_from_u64(5));
+    let wav = root.join("new.wav");
+    sound::write(&wav, &samples).unwrap();
+    let mut table = String::from("clip start end phone\n");
+    for (n, (from, phone)) in begins.iter().enumerate() {
+        let to = begins.get(n + 1).map_or(samples.len(), |next| next.0);
+        table += &format!("new {from} {to} {phone}\n");
+    }
+    let labels = root.join("labels.tsv");
+    std::fs::write(&labels, table).unwrap();
+    let lipstream = |args: &[&str]| {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .args(["align", &text(&wav), "--recognise"])
+            .args(args)
+            .output()
+            .unwrap();
+        (
+            output.status.success(),
+            output.stdout,
+            String::from_utf8_lossy(&output.stderr).into_owned(),
+        )
+    };
+    let (model, out) = (text(&model), text(&root.join("new.phn")));
+    let (ok, stdout, said) = lipstream(&[
+        "-m",
+        &model,
+        "-o",
+        &out,
+        "--score",
+        "--against",
+        &text(&labels),
+        "--json",
+    ]);
+    assert!(ok && said.contains("recognised 1 clips"), "{said}");
+    let scores: serde_json::Value = serde_json::from_slice(&stdout).unwrap();
+    let recognised = &scores["recognised"];
+    assert_eq!(recognised["phones"], 10);
+    assert!(recognised["error_rate"].as_f64().unwrap() <= 0.2, "{recognised}");
+    assert!(recognised["all"]["phone"].as_f64().unwrap() > 0.8, "{recognised}");
+    assert!(scores["aligned"].is_null() && scores["words"].is_null());
+    let found = labels::read(&[&out], samples.len() as f64 / 16_000.0).unwrap();
+    assert!(found.words.is_empty() && found.phones.len() >= 8);
+    // The shipped model is there for who has none; and labels must be those of the clip.
+    assert!(lipstream(&["-o", &out]).0);
+    std::fs::write(&labels, "other 0 1600 sil\n").unwrap();
+    let (ok, _, said) = lipstream(&["-m", &model, "--score", "--against", &text(&labels)]);
+    assert!(!ok && said.contains("nothing to compare with"), "{said}");
 }
 
 fn folder_words(words: &[&str]) -> Vec<lipstream_make::features::Word> {

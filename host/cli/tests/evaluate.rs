@@ -9,7 +9,9 @@ use lipstream_make::evaluate::{
     self, Candidate, Destination, EvaluateSettings, Heading, Heard, Iteration, NoiseSettings, Prediction,
     Report, exchange, models, truths,
 };
-use lipstream_make::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Split};
+use lipstream_make::features::{
+    Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, PhonesFrom, Split,
+};
 use lipstream_media::sound;
 use ndarray::{Array2, Array4};
 use rand::{RngExt, SeedableRng};
@@ -103,6 +105,7 @@ fn talker(root: &Path) -> FeatureFolder {
             },
             audio_frames: observations.nrows(),
             video_frames: frames,
+            phones_from: PhonesFrom::Labels,
             video_hz: VIDEO_HZ,
             words: Vec::new(),
             phones: phones.collect(),

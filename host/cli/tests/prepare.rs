@@ -3,7 +3,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use lipstream::reference;
-use lipstream_make::features::{FeatureFolder, Split};
+use lipstream_make::features::{FeatureFolder, PhonesFrom, Split};
 use lipstream_media::sound;
 
 /// Bursts of a hoarse tone with pauses between them: loud and quiet enough to pass for speech.
@@ -83,7 +83,10 @@ fn a_small_corpus_becomes_a_feature_folder() {
     assert_eq!(summary["train"]["clips"], 3);
     assert_eq!(summary["train"]["speakers"], 2);
     assert_eq!(summary["test"]["clips"], 1);
-    assert_eq!(summary["unlabelled"], 1);
+    assert_eq!(
+        (&summary["unlabelled"], &summary["recognised"]),
+        (&0.into(), &1.into())
+    );
     assert_eq!(summary["words_by_rule"], serde_json::json!(["blorfs"]));
     assert_eq!(summary["skipped"].as_array().unwrap().len(), 2);
     assert_eq!(summary["left_alone"].as_array().unwrap().len(), 1);
@@ -107,6 +110,16 @@ fn a_small_corpus_becomes_a_feature_folder() {
     assert_eq!(clip("two").words[1].pronunciations[0], ["t", "uw"]);
     assert_eq!(clip("three").words[1].pronunciations, [["ey"]]);
     assert_eq!(clip("three").words[0].time, Some((0.37, 0.86)));
+    // Nobody labelled it: what is heard covers it, and the manifest says where it comes from.
+    let four = clip("four");
+    assert!(four.words.is_empty() && four.phones_from == PhonesFrom::Recognised);
+    assert_eq!(
+        (four.phones[0].start, four.phones.last().unwrap().end),
+        (0.0, 1.0)
+    );
+    assert!(four.phones.windows(2).all(|p| p[0].end == p[1].start));
+    assert!(four.labelled_phones().is_empty());
+    assert_eq!(clip("one").phones_from, PhonesFrom::Labels);
     assert_eq!(clip("four").split, Split::Test);
     assert_eq!(clip("four").speaker, "bob");
 
@@ -121,6 +134,74 @@ fn a_small_corpus_becomes_a_feature_folder() {
             reference::observations(&wav(&clip.id), reference::Normalisation::Causal { start_mean });
         assert_eq!(features.audio(clip).unwrap(), expected);
     }
+}
+
+/// Where labels only are to count, a clip without has no phones, and is not trained on; a model that cannot be read is said so.
+#[test]
+fn clips_without_labels_are_heard_or_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (input, output) = (folder.path().join("corpus"), folder.path().join("features"));
+    write_wav(&input.join("ann/one.wav"), &bursts(1.2, 120.0));
+    std::fs::write(
+        input.join("ann/one.lab"),
+        "0 5000000 sil\n5000000 7000000 b\n7000000 9000000 iy\n9000000 12000000 sil\n",
+    )
+    .unwrap();
+    write_wav(&input.join("ann/two.wav"), &bursts(1.2, 130.0));
+    let (input, out) = (input.to_str().unwrap(), output.to_str().unwrap());
+    let ran = run(&[input, "-o", out, "--all-train", "--labels-only", "--json"]);
+    assert!(ran.status.success(), "{}", text(&ran.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&ran.stdout).unwrap();
+    assert_eq!(
+        (&summary["unlabelled"], &summary["recognised"]),
+        (&1.into(), &0.into())
+    );
+
+    let model = folder.path().join("audio.safetensors");
+    let trained = || {
+        Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .args([
+                "train",
+                out,
+                "--sound-only",
+                "--audio-mixtures",
+                "1",
+                "--iterations",
+                "1",
+                "-o",
+            ])
+            .arg(&model)
+            .output()
+            .unwrap()
+    };
+    let said = text(&trained().stderr);
+    assert!(
+        said.contains("left out: clip two: it has no labels") && said.contains("1 clips"),
+        "{said}"
+    );
+
+    // The same folder again, now with ears: the second clip is trained on as what is heard in it.
+    assert!(run(&[input, "-o", out, "--all-train"]).status.success());
+    let said = text(&trained().stderr);
+    assert!(!said.contains("left out") && said.contains("2 clips"), "{said}");
+    let heard_with = run(&[
+        input,
+        "-o",
+        out,
+        "--all-train",
+        "--hear-with",
+        model.to_str().unwrap(),
+    ]);
+    assert!(heard_with.status.success(), "{}", text(&heard_with.stderr));
+    let missing = run(&[
+        input,
+        "-o",
+        out,
+        "--all-train",
+        "--hear-with",
+        "no-such.safetensors",
+    ]);
+    assert!(!missing.status.success() || text(&missing.stderr).contains("no-such.safetensors"));
 }
 
 #[test]

@@ -60,8 +60,24 @@ pub struct Clip {
     /// Words with their phones; times are absent in plain transcripts. Silence is no word: between timed words
     /// it is what no word covers. Empty where the corpus has no labels.
     pub words: Vec<Word>,
-    /// Phones with times, where the corpus is labelled in phones; silences (`sil`, `sp`) are phones.
+    /// Phones with times, silences (`sil`, `sp`) among them; empty where neither labels nor sound told any.
     pub phones: Vec<PhoneLabel>,
+    /// Where the phones come from.
+    #[serde(default)]
+    pub phones_from: PhonesFrom,
+}
+
+/// Where a clip's phones come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PhonesFrom {
+    /// From label files: somebody knows.
+    #[default]
+    Labels,
+    /// By forced alignment of a transcript.
+    Aligned,
+    /// By recognition, without any text.
+    Recognised,
 }
 
 /// One word and its pronunciations, in phones of X&L table 1.
@@ -282,6 +298,19 @@ impl Manifest {
 }
 
 impl Clip {
+    /// Phones that somebody labelled; none where a program found them.
+    pub fn labelled_phones(&self) -> &[PhoneLabel] {
+        match self.phones_from {
+            PhonesFrom::Labels => &self.phones,
+            PhonesFrom::Aligned | PhonesFrom::Recognised => &[],
+        }
+    }
+
+    /// Whether anything tells which phones are said.
+    pub fn is_labelled(&self) -> bool {
+        !(self.words.is_empty() && self.phones.is_empty())
+    }
+
     fn check(&self) -> Result<()> {
         if self.video_frames > 0 {
             ensure!(
@@ -366,6 +395,7 @@ mod tests {
                 split: Split::Train,
                 audio_frames: 2,
                 video_frames: 0,
+                phones_from: PhonesFrom::Labels,
                 video_hz: 0.0,
                 words: vec![Word {
                     text: "be".into(),

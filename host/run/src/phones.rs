@@ -89,6 +89,11 @@ impl Phone {
         PHONES[usize::from(self.0)].1
     }
 
+    /// Whether it is no sound but a silence, [`Phone::SIL`] or [`Phone::SP`].
+    pub fn is_pause(self) -> bool {
+        self == Phone::SIL || self == Phone::SP
+    }
+
     /// All phones in order.
     pub fn all() -> impl Iterator<Item = Phone> {
         (0..PHONES.len() as u8).map(Phone)

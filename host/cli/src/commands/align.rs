@@ -1,4 +1,5 @@
-//! `lipstream align`: when each word and phone of a known text is said.
+//! `lipstream align`: when each word and phone of a known text is said, or which phones are said where there is no text.
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
@@ -6,13 +7,15 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use lipstream::time;
+use lipstream_make::align::judge::{self, Judged, Judgement};
+use lipstream_make::align::recognise::RecognitionSettings;
 use lipstream_make::align::score::{Errors, Summary, table};
 use lipstream_make::align::write::Format;
-use lipstream_make::align::{Aligner, Alignment, AudioHmm};
+use lipstream_make::align::{Aligner, Alignment, AudioHmm, Recogniser};
 use lipstream_make::corpus::discover;
 use lipstream_make::corpus::labels;
 use lipstream_make::corpus::pronounce::Pronouncer;
-use lipstream_make::features::{Clip, FeatureFolder, PhoneLabel, Split, Word};
+use lipstream_make::features::{Clip, FeatureFolder, PhoneLabel, PhonesFrom, Split, Word};
 
 use super::choices;
 use super::streams::{is_standard, name, read_sound, write};
@@ -20,19 +23,22 @@ use super::streams::{is_standard, name, read_sound, write};
 /// Find when each word and phone of a known text is said
 ///
 /// Takes sound files, a corpus, or a feature folder. The text of a sound is in --transcript or in a label file of the same
-/// name beside it: .txt (plain), .lab, .TextGrid, .align, .wrd; times in it are not looked at. With --score the borders
-/// that are found are compared with the labels'.
+/// name beside it: .txt (plain), .lab, .TextGrid, .align, .wrd; times in it are not looked at. With --recognise no text is
+/// needed: the phones are those that are heard. With --score what is found is compared with the labels.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Sound files, or one folder; - is a sound on standard input
     #[arg(required = true)]
     inputs: Vec<PathBuf>,
-    /// Model: of `lipstream train`, best with --sound-only
+    /// Model: of `lipstream train`, best with --sound-only [default: the shipped one]
     #[arg(short, long, value_name = "MODEL.safetensors")]
-    model: PathBuf,
+    model: Option<PathBuf>,
     /// Text of the one sound file
     #[arg(short, long, value_name = "FILE")]
     transcript: Option<PathBuf>,
+    /// Find phones without a text
+    #[arg(long, conflicts_with = "transcript")]
+    recognise: bool,
     /// File for one sound, else folder; - is standard output
     #[arg(short, long, value_name = "OUT", required_unless_present = "score")]
     output: Option<PathBuf>,
@@ -48,9 +54,12 @@ pub(crate) struct Args {
     /// Only clips of these speakers, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     speakers: Vec<String>,
-    /// Print how far the borders are from the labels
+    /// Print how far what is found is from the labels
     #[arg(long)]
     score: bool,
+    /// Labels to compare phones with instead of the clips' own: lines `clip start end phone`, in samples at 16 kHz
+    #[arg(long, value_name = "TABLE", requires = "score")]
+    against: Option<PathBuf>,
     /// Print the score as JSON
     #[arg(long, requires = "score")]
     json: bool,
@@ -73,16 +82,68 @@ impl Job {
     }
 }
 
+/// What listens, and what its phones are compared with.
+struct Ears {
+    aligner: Aligner,
+    /// Where phones are found without a text.
+    recogniser: Option<Recogniser>,
+    /// Phones by clip, in place of the clips' own.
+    against: Option<HashMap<String, Vec<PhoneLabel>>>,
+}
+
+impl Ears {
+    fn new(args: &Args) -> Result<Self> {
+        let hmm = match &args.model {
+            Some(path) => AudioHmm::read(path)?,
+            None => AudioHmm::shipped()?,
+        };
+        Ok(Self {
+            recogniser: args
+                .recognise
+                .then(|| Recogniser::new(hmm.clone(), RecognitionSettings::default())),
+            aligner: Aligner::new(hmm),
+            against: args.against.as_deref().map(labels::read_table).transpose()?,
+        })
+    }
+
+    /// The phones that a clip's are compared with; none where nobody labelled it.
+    fn labels<'a>(&'a self, clip: &'a Clip) -> &'a [PhoneLabel] {
+        match &self.against {
+            Some(table) => table.get(&clip.id).map_or(&[], Vec::as_slice),
+            None => clip.labelled_phones(),
+        }
+    }
+}
+
+/// What was compared with labels.
+#[derive(Default)]
+struct Compared {
+    words: Errors,
+    phones: Errors,
+    aligned: Judgement,
+    recognised: Judgement,
+}
+
+impl Compared {
+    fn merge(&mut self, other: Self) {
+        self.words.merge(other.words);
+        self.phones.merge(other.phones);
+        self.aligned.merge(other.aligned);
+        self.recognised.merge(other.recognised);
+    }
+}
+
 #[derive(Serialize)]
 struct Scores {
     clips: usize,
     words: Option<Summary>,
     phones: Option<Summary>,
+    aligned: Option<Judged>,
+    recognised: Option<Judged>,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let hmm = AudioHmm::read(&args.model)?;
-    let aligner = Aligner::new(&hmm);
+    let ears = Ears::new(&args)?;
     let mut jobs = jobs(&args)?;
     if !args.speakers.is_empty() {
         jobs.retain(|j| args.speakers.contains(&j.clip.speaker));
@@ -125,21 +186,18 @@ pub(crate) fn run(args: Args) -> Result<()> {
         }
         None => false,
     };
-    let results: Vec<Result<(Errors, Errors)>> = jobs
+    let results: Vec<Result<Compared>> = jobs
         .par_iter()
         .map(|job| {
-            one(job, &aligner, &args, format, to_file)
+            one(job, &ears, &args, format, to_file)
                 .with_context(|| format!("cannot align {}", name(&job.sound)))
         })
         .collect();
-    let (mut words, mut phones, mut failed) = (Errors::default(), Errors::default(), 0);
+    let (mut compared, mut failed) = (Compared::default(), 0);
     let mut last = None;
     for result in results {
         match result {
-            Ok((w, p)) => {
-                words.merge(w);
-                phones.merge(p);
-            }
+            Ok(of) => compared.merge(of),
             Err(error) => {
                 failed += 1;
                 if jobs.len() > 1 {
@@ -153,10 +211,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
         return Err(error);
     }
     if args.score {
-        report(&args, jobs.len() - failed, &words, &phones)?;
+        report(&args, jobs.len() - failed, &compared)?;
     }
     if let Some(out) = args.output.as_ref().filter(|out| !is_standard(out)) {
-        eprintln!("aligned {} clips into {}", jobs.len() - failed, out.display());
+        let found = if args.recognise { "recognised" } else { "aligned" };
+        eprintln!("{found} {} clips into {}", jobs.len() - failed, out.display());
     }
     if failed > 0 {
         bail!("{failed} of {} clips could not be aligned", jobs.len());
@@ -164,56 +223,112 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-fn report(args: &Args, clips: usize, words: &Errors, phones: &Errors) -> Result<()> {
+fn report(args: &Args, clips: usize, compared: &Compared) -> Result<()> {
     let scores = Scores {
         clips,
-        words: words.summary(),
-        phones: phones.summary(),
+        words: compared.words.summary(),
+        phones: compared.phones.summary(),
+        aligned: compared.aligned.summary(),
+        recognised: compared.recognised.summary(),
     };
     if args.json {
         println!("{}", serde_json::to_string_pretty(&scores)?);
         return Ok(());
     }
-    let mut rows = Vec::new();
-    rows.extend(scores.words.map(|s| ("words, from the transcript", s)));
-    rows.extend(scores.phones.map(|s| ("phones, from their order", s)));
-    if rows.is_empty() {
+    let mut borders = Vec::new();
+    borders.extend(scores.words.map(|s| ("words, from the transcript", s)));
+    borders.extend(scores.phones.map(|s| ("phones, from their order", s)));
+    let mut phones = Vec::new();
+    phones.extend(scores.aligned.map(|s| ("from the transcript", s)));
+    phones.extend(scores.recognised.map(|s| ("recognised", s)));
+    if borders.is_empty() && phones.is_empty() {
         bail!("nothing to compare with: these clips have no labels with times");
     }
-    println!("{clips} clips\n\n{}", table(&rows));
+    println!("{clips} clips");
+    if !borders.is_empty() {
+        println!("\n{}", table(&borders));
+    }
+    if !phones.is_empty() {
+        println!("\n{}", judge::table(&phones));
+    }
     Ok(())
 }
 
-fn one(job: &Job, aligner: &Aligner, args: &Args, format: Format, to_file: bool) -> Result<(Errors, Errors)> {
+fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Result<Compared> {
     let samples = job.samples()?;
     let clip = &job.clip;
-    // Labels without words: their phones are the text.
-    let said: Alignment = if clip.words.is_empty() {
-        aligner.phones(&samples, &clip.phones)?
-    } else {
-        aligner.words(&samples, &clip.words)?
+    let heard = ears
+        .recogniser
+        .as_ref()
+        .map(|r| r.recognise(&samples))
+        .transpose()?;
+    // With the recogniser's, the transcript's alignment is wanted for comparison only.
+    let from_words = match clip.words.is_empty() || (heard.is_some() && !args.score) {
+        true => None,
+        false => Some(ears.aligner.words(&samples, &clip.words)?),
     };
-    if let Some(out) = args.output.as_deref().filter(|out| is_standard(out)) {
-        let text = format.text(&said)?;
-        write(out, |file| Ok(file.write_all(&text)?))?;
-    } else if let Some(out) = &args.output {
-        let path = if to_file {
-            out.clone()
-        } else {
-            out.join(format!("{}.{}", clip.id, format.extension()))
-        };
-        format.write(&path, &said)?;
+    let from_phones = match from_words.is_none() && heard.is_none() {
+        // Labels without words: their phones are the text.
+        true => Some(ears.aligner.phones(&samples, &clip.phones)?),
+        false => None,
+    };
+    let said = heard.as_ref().or(from_words.as_ref()).or(from_phones.as_ref());
+    if let (Some(out), Some(said)) = (&args.output, said) {
+        put(said, out, &clip.id, format, to_file)?;
     }
-    let (mut words, mut phones) = (Errors::default(), Errors::default());
+    let mut compared = Compared::default();
     if args.score {
+        compare(
+            &mut compared,
+            ears,
+            job,
+            &samples,
+            (from_words.as_ref(), heard.as_ref()),
+        )?;
+    }
+    Ok(compared)
+}
+
+/// Writes what was found.
+fn put(said: &Alignment, out: &Path, id: &str, format: Format, to_file: bool) -> Result<()> {
+    if is_standard(out) {
+        let text = format.text(said)?;
+        return write(out, |file| Ok(file.write_all(&text)?));
+    }
+    let path = match to_file {
+        true => out.to_owned(),
+        false => out.join(format!("{id}.{}", format.extension())),
+    };
+    Ok(format.write(&path, said)?)
+}
+
+/// Compares what the transcript and the recogniser gave with the labels.
+fn compare(
+    compared: &mut Compared,
+    ears: &Ears,
+    job: &Job,
+    samples: &[i16],
+    (from_words, heard): (Option<&Alignment>, Option<&Alignment>),
+) -> Result<()> {
+    let clip = &job.clip;
+    let labels = ears.labels(clip);
+    if let Some(said) = from_words {
         if clip.words.iter().all(|w| w.time.is_some()) {
-            words.add_words(clip, &said);
+            compared.words.add_words(clip, said);
         }
-        if !clip.phones.is_empty() {
-            phones.add_phones(clip, &aligner.phones(&samples, &clip.phones)?);
+        if !labels.is_empty() {
+            compared.aligned.add(labels, said);
         }
     }
-    Ok((words, phones))
+    match heard {
+        Some(heard) if !labels.is_empty() => compared.recognised.add(labels, heard),
+        None if !clip.labelled_phones().is_empty() => {
+            let found = ears.aligner.phones(samples, &clip.phones)?;
+            compared.phones.add_phones(clip, &found);
+        }
+        _ => {}
+    }
+    Ok(())
 }
 
 fn extension(path: &Path) -> Option<String> {
@@ -238,7 +353,7 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
         return found
             .clips
             .iter()
-            .map(|c| job(&c.id, &c.speaker, c.sound_path(), &c.labels, &pronouncer))
+            .map(|c| job(args, (&c.id, &c.speaker), c.sound_path(), &c.labels, &pronouncer))
             .collect();
     }
     let pronouncer = Pronouncer::new(args.dictionary.as_deref())?;
@@ -259,10 +374,10 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
                 None if is_standard(sound) => Vec::new(),
                 None => beside(sound),
             };
-            if texts.is_empty() && is_standard(sound) {
+            if texts.is_empty() && is_standard(sound) && !args.recognise {
                 bail!("standard input has no text beside it: give --transcript");
             }
-            if texts.is_empty() {
+            if texts.is_empty() && !args.recognise {
                 bail!(
                     "{} has no text: give --transcript, or put it beside the sound as {}",
                     sound.display(),
@@ -273,7 +388,7 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
                 true => "stdin".into(),
                 false => sound.file_stem().unwrap_or_default().to_string_lossy(),
             };
-            job(&id, "", sound, &texts, &pronouncer)
+            job(args, (&id, ""), sound, &texts, &pronouncer)
         })
         .collect()
 }
@@ -296,7 +411,13 @@ fn beside(sound: &Path) -> Vec<PathBuf> {
     out
 }
 
-fn job(id: &str, speaker: &str, sound: &Path, texts: &[PathBuf], pronouncer: &Pronouncer) -> Result<Job> {
+fn job(
+    args: &Args,
+    (id, speaker): (&str, &str),
+    sound: &Path,
+    texts: &[PathBuf],
+    pronouncer: &Pronouncer,
+) -> Result<Job> {
     let samples = read_sound(sound)?;
     let seconds = time::seconds(samples.len());
     let labels = labels::read(texts, seconds)?;
@@ -315,8 +436,11 @@ fn job(id: &str, speaker: &str, sound: &Path, texts: &[PathBuf], pronouncer: &Pr
             end: *end as f32,
         })
         .collect();
-    if words.is_empty() && phones.is_empty() {
-        bail!("{}: no words in {}", name(sound), texts[0].display());
+    if words.is_empty() && phones.is_empty() && !args.recognise {
+        let Some(text) = texts.first() else {
+            bail!("{} has no text beside it", name(sound));
+        };
+        bail!("{}: no words in {}", name(sound), text.display());
     }
     Ok(Job {
         sound: sound.to_owned(),
@@ -327,6 +451,7 @@ fn job(id: &str, speaker: &str, sound: &Path, texts: &[PathBuf], pronouncer: &Pr
             split: Split::Test,
             audio_frames: 0,
             video_frames: 0,
+            phones_from: PhonesFrom::Labels,
             video_hz: 0.0,
             words,
             phones,
@@ -347,7 +472,7 @@ fn from_features(args: &Args, root: &Path) -> Result<Vec<Job>> {
         .clips
         .iter()
         .filter(|c| args.split.is_none_or(|s| c.split == s.into()))
-        .filter(|c| !(c.words.is_empty() && c.phones.is_empty()))
+        .filter(|c| args.recognise || c.is_labelled())
         .map(|c| Job {
             clip: c.clone(),
             samples: None,

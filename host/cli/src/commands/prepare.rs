@@ -6,19 +6,20 @@ use anyhow::Result;
 use crate::progress::Terminal;
 use lipstream_make::corpus::discover::Options;
 use lipstream_make::corpus::summary::SplitSummary;
-use lipstream_make::corpus::{self, PrepareSettings, Summary};
+use lipstream_make::corpus::{self, Hearing, PrepareSettings, Summary};
 
 /// Turn video, sound and labels into features and eigenmouths
 ///
 /// A clip is a video or WAV file with its labels beside it, under the same name: .align (GRID), .phn and .wrd
 /// (TIMIT), .lab (HTK), .TextGrid (Praat) or .txt (a plain transcript). Folders called train, val and test are
 /// splits; other folders are speakers; clips without either are each their own speaker. Where no folder says so,
-/// speakers are dealt out by their names: a tenth for the test, a tenth for validation. An interrupted run
-/// continues when it is started again. DIR/sheet.png shows mouths of every clip.
+/// speakers are dealt out by their names: a tenth for the test, a tenth for validation. No transcript is needed:
+/// a clip without labels gets the phones that are heard in it, a transcript without times is aligned with its
+/// sound. An interrupted run continues when it is started again. DIR/sheet.png shows mouths of every clip.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Folder of the corpus, or one video of somebody who speaks: it is cut between its subtitles (.srt or
-    /// .vtt beside it), or at its pauses
+    /// .vtt beside it), or at its pauses, with its words (.txt beside it) spread over the pieces
     corpus: PathBuf,
     /// Folder for the features; new, or from an earlier run
     #[arg(short, long, value_name = "DIR")]
@@ -26,6 +27,12 @@ pub(crate) struct Args {
     /// Pronunciations that come before the built-in ones: lines `name  N EY1 M`, variants as `name(2)  N AE1 M`
     #[arg(long, value_name = "FILE")]
     dictionary: Option<PathBuf>,
+    /// Model that hears the phones of clips without labels, any that `lipstream align` takes [default: the shipped one]
+    #[arg(long, value_name = "MODEL.safetensors")]
+    hear_with: Option<PathBuf>,
+    /// Hear no phones: clips without labels with times get none
+    #[arg(long, conflicts_with = "hear_with")]
+    labels_only: bool,
     /// Speakers for the test, separated by commas
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     test_speakers: Vec<String>,
@@ -47,6 +54,9 @@ pub(crate) struct Args {
     /// Leave each clip's mean in its mouth weights
     #[arg(long)]
     keep_clip_mean: bool,
+    /// Write a film of every clip with the mouth's rectangle and the lips drawn on it, DIR/overlay/CLIP.mp4
+    #[arg(long, conflicts_with = "audio_only")]
+    overlay: bool,
     /// Use nothing of an earlier run in the same folder
     #[arg(long)]
     fresh: bool,
@@ -66,9 +76,15 @@ pub(crate) fn run(args: Args) -> Result<()> {
             one_speaker: args.one_speaker,
         },
         dictionary: args.dictionary,
+        hearing: match (args.labels_only, args.hear_with) {
+            (true, _) => Hearing::Nobody,
+            (false, Some(model)) => Hearing::Model(model),
+            (false, None) => Hearing::Shipped,
+        },
         audio_only: args.audio_only,
         eigenmouths: args.eigenmouths.into(),
         keep_clip_mean: args.keep_clip_mean,
+        overlay: args.overlay,
         fresh: args.fresh,
     };
     let summary = corpus::prepare(&settings, &Terminal::default())?;
@@ -120,6 +136,15 @@ fn words(s: &Summary) -> String {
             "{} clips without labels: their GRID file names say what is spoken",
             s.named_sentences
         ));
+    }
+    if s.recognised > 0 {
+        line(format!(
+            "{} clips without labels: their phones are those that were heard",
+            s.recognised
+        ));
+    }
+    if s.aligned > 0 {
+        line(format!("{} transcripts were aligned with their sound", s.aligned));
     }
     if s.unlabelled > 0 {
         line(format!(

@@ -4,14 +4,14 @@ use std::path::Path;
 
 use crate::error::{Context as _, Error, Result, bail};
 use lipstream_core::{N_OBSERVATION, N_STATIC};
-use ndarray::{Array1, Array3};
+use ndarray::{Array1, Array2, Array3};
 
 use super::Shifts;
+use lipstream::engine::FloatModel;
 use lipstream::hmm::joint::{N_EMITTING, choice};
 use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
-use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::phones::Phone;
 use lipstream::tensors::{Tensors, TensorsBuilder};
 
@@ -19,6 +19,26 @@ use lipstream::tensors::{Tensors, TensorsBuilder};
 const VERSION: u32 = 1;
 /// What tells the file from other models.
 const KIND: &str = "audio hmm";
+
+/// Which phone is said first, and which after which.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bigram {
+    /// Natural log of P(first phone), `[phones]`.
+    pub initial: Array1<f32>,
+    /// Natural log of P(next | phone), `[phones, phones]`.
+    pub next: Array2<f32>,
+}
+
+impl Bigram {
+    /// Every phone is as likely as every other.
+    pub fn even(phones: usize) -> Self {
+        let share = -(phones.max(1) as f32).ln();
+        Self {
+            initial: Array1::from_elem(phones, share),
+            next: Array2::from_elem((phones, phones), share),
+        }
+    }
+}
 
 /// One chain over the phones, heard every 5 ms.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +51,8 @@ pub struct AudioHmm {
     pub audio: Mixtures,
     /// Natural log, `[phones, 5, 4]`, for frames of 5 ms.
     pub transition: Array3<f32>,
+    /// What follows what where no text says it.
+    pub bigram: Bigram,
     /// What is taken off borders after alignment, by kind of border.
     pub shifts: Shifts,
     /// Exponent of the likelihood: frames 5 ms apart share four fifths of their window and are no five witnesses.
@@ -72,6 +94,10 @@ impl AudioHmm {
             start_mean,
             audio: model.audio.clone(),
             transition,
+            bigram: Bigram {
+                initial: model.initial.clone(),
+                next: model.bigram.clone(),
+            },
             shifts: Shifts::default(),
             acoustic_scale: ACOUSTIC_SCALE,
             provenance: model.provenance.clone(),
@@ -81,13 +107,24 @@ impl AudioHmm {
     /// Reads any kind of model; of one trained on the error of its mouth the likelihood-trained parent.
     pub fn read(path: &Path) -> Result<Self> {
         let tensors = Tensors::read(path).map_err(Error::other)?;
-        if RecurrentModel::is_kind(&tensors) {
-            return Self::of_model(&RecurrentModel::read(path).map_err(Error::other)?.parent);
+        if tensors.noted::<String>("kind").map_err(Error::other)? == KIND {
+            return Self::from_tensors(&tensors)
+                .with_context(|| format!("{} is no usable audio HMM", path.display()));
         }
-        if tensors.noted::<String>("kind").map_err(Error::other)? != KIND {
-            return Self::of_model(&Model::read(path).map_err(Error::other)?);
-        }
-        Self::from_tensors(&tensors).with_context(|| format!("{} is no usable audio HMM", path.display()))
+        Self::of_any(&FloatModel::of_tensors(&tensors).map_err(Error::other)?)
+    }
+
+    /// The audio half of the shipped model.
+    pub fn shipped() -> Result<Self> {
+        let tensors = Tensors::parse(lipstream::shipped::MODEL, "the shipped model").map_err(Error::other)?;
+        Self::of_any(&FloatModel::of_tensors(&tensors).map_err(Error::other)?)
+    }
+
+    fn of_any(model: &FloatModel) -> Result<Self> {
+        Self::of_model(match model {
+            FloatModel::Likelihood(model) => model,
+            FloatModel::Recurrent(model) => &model.parent,
+        })
     }
 
     /// Writes the file that [`AudioHmm::read`] reads. An error when the file cannot be written.
@@ -104,6 +141,8 @@ impl AudioHmm {
         out.put("audio.variance", &self.audio.variance);
         out.put("audio.log_weight", &self.audio.log_weight);
         out.put("transition", &self.transition);
+        out.put("initial", &self.bigram.initial);
+        out.put("bigram", &self.bigram.next);
         out.put("shifts", &self.shifts.0);
         out.write(path).map_err(Error::other)
     }
@@ -129,6 +168,14 @@ impl AudioHmm {
                 log_weight: from.array("audio.log_weight").map_err(Error::other)?,
             },
             transition: from.array("transition").map_err(Error::other)?,
+            // Files of older builds have none.
+            bigram: match from.has("bigram") {
+                true => Bigram {
+                    initial: from.array("initial").map_err(Error::other)?,
+                    next: from.array("bigram").map_err(Error::other)?,
+                },
+                false => Bigram::even(phones.len()),
+            },
             shifts: Shifts(from.array("shifts").map_err(Error::other)?),
             acoustic_scale: from.noted("acoustic_scale").map_err(Error::other)?,
             provenance: from.noted("provenance").map_err(Error::other)?,
@@ -145,6 +192,8 @@ impl AudioHmm {
             && hmm.audio.variance.dim() == (states, components, size)
             && hmm.audio.log_weight.dim() == (states, components)
             && hmm.transition.dim() == (hmm.phones.len(), N_EMITTING, 4)
+            && hmm.bigram.initial.len() == hmm.phones.len()
+            && hmm.bigram.next.dim() == (hmm.phones.len(), hmm.phones.len())
             && hmm.shifts.0.dim() == Shifts::default().0.dim();
         if !fits {
             bail!(File, "the shapes of its tensors do not agree");

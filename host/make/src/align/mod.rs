@@ -20,12 +20,16 @@ use lipstream::phones::Phone;
 use lipstream::reference::{self, Normalisation};
 
 pub mod audio_hmm;
+pub mod fit;
+pub mod judge;
+pub mod recognise;
 pub mod score;
 mod shifts;
 pub mod train;
 pub mod write;
 
-pub use audio_hmm::AudioHmm;
+pub use audio_hmm::{AudioHmm, Bigram};
+pub use recognise::Recogniser;
 pub use shifts::Shifts;
 
 /// Samples between two frames of an alignment: 5 ms.
@@ -102,17 +106,17 @@ fn border_time(t: usize) -> f64 {
 }
 
 /// A model made ready to align.
-pub struct Aligner<'a> {
-    hmm: &'a AudioHmm,
+pub struct Aligner {
+    hmm: AudioHmm,
     evaluator: Evaluator,
 }
 
-impl<'a> Aligner<'a> {
+impl Aligner {
     /// Prepares the densities of `hmm` for evaluation.
-    pub fn new(hmm: &'a AudioHmm) -> Self {
+    pub fn new(hmm: AudioHmm) -> Self {
         Self {
-            hmm,
             evaluator: Evaluator::new(&hmm.audio),
+            hmm,
         }
     }
 
@@ -161,6 +165,29 @@ impl<'a> Aligner<'a> {
         Ok(alignment)
     }
 
+    /// Which of some words that follow each other are said, and the middle of each in seconds; any of the `unsure.0` first and the `unsure.1` last
+    /// may not be.
+    ///
+    /// # Errors
+    ///
+    /// That no way of saying them fits the sound.
+    pub fn some_words(
+        &self,
+        samples: &[i16],
+        words: &[Word],
+        unsure: (usize, usize),
+    ) -> Result<Vec<(usize, f64)>> {
+        let network = PhoneNetwork::transcript(words, &|p| self.index(p))
+            .ok_or_else(|| Error::Data("the text holds a phone that the model has never heard".into()))?;
+        let alignment = self.network(samples, &network.with_open_ends(unsure.0, unsure.1))?;
+        let said = |n: usize| {
+            let mut of = alignment.phones.iter().filter(|p| p.word == Some(n));
+            let first = of.next()?;
+            Some((n, 0.5 * (first.start + of.last().unwrap_or(first).end)))
+        };
+        Ok((0..words.len()).filter_map(said).collect())
+    }
+
     /// Aligns phones whose order is known (their times are not looked at).
     pub fn phones(&self, samples: &[i16], phones: &[PhoneLabel]) -> Result<Alignment> {
         let mut said: Vec<usize> = Vec::new();
@@ -195,42 +222,11 @@ impl<'a> Aligner<'a> {
             &self.evaluator,
             observations.view(),
         );
-        let emission = |t: usize, s: usize| self.hmm.acoustic_scale * f64::from(log.log(t, s));
+        let heard = |t: usize, s: usize| f64::from(log.log(t, s));
+        let emission = |t: usize, s: usize| self.hmm.acoustic_scale * heard(t, s);
         let (path, _) = viterbi(&graph, &probability, frames, &emission)
             .ok_or_else(|| Error::Data("no way of saying this text fits the sound".into()))?;
-        let mut phones: Vec<Spoken> = Vec::new();
-        let (mut begun, mut total) = (Vec::new(), 0.0);
-        for (t, &s) in path.iter().enumerate() {
-            let state = graph.states[s];
-            // A phone that is said twice in a row begins again at its first state.
-            let begins = t == 0 || {
-                let before = graph.states[path[t - 1]];
-                before.node != state.node || before.audio > state.audio
-            };
-            if begins {
-                phones.push(Spoken {
-                    phone: self.hmm.phones[state.phone],
-                    start: if t == 0 { 0.0 } else { border_time(t) },
-                    end: duration,
-                    word: network.words[state.node],
-                    score: 0.0,
-                });
-                begun.push(t);
-            }
-            let heard = f64::from(log.log(t, s));
-            total += heard;
-            if let Some(last) = phones.last_mut() {
-                last.score += heard;
-            }
-        }
-        self.hmm.shifts.apply(&mut phones);
-        for i in 0..phones.len() {
-            let next = begun.get(i + 1).copied().unwrap_or(frames);
-            phones[i].score /= (next - begun[i]) as f64;
-            if let Some(start) = phones.get(i + 1).map(|p| p.start) {
-                phones[i].end = start;
-            }
-        }
+        let (phones, total) = phones_on(&path, &graph, &self.hmm, &network.words, duration, &heard);
         Ok(Alignment {
             duration,
             phones,
@@ -238,4 +234,50 @@ impl<'a> Aligner<'a> {
             log_likelihood: total / frames as f64,
         })
     }
+}
+
+/// The phones along a path, from 0 to `duration` seconds, with their borders shifted; and the log likelihood of all frames. `words` has the word
+/// of each of the network's nodes, `heard` the log likelihood of a joint state at a frame.
+fn phones_on(
+    path: &[usize],
+    graph: &Graph,
+    hmm: &AudioHmm,
+    words: &[Option<usize>],
+    duration: f64,
+    heard: &dyn Fn(usize, usize) -> f64,
+) -> (Vec<Spoken>, f64) {
+    let mut phones: Vec<Spoken> = Vec::new();
+    let (mut begun, mut total) = (Vec::new(), 0.0);
+    for (t, &s) in path.iter().enumerate() {
+        let state = graph.states[s];
+        // A phone that is said twice in a row begins again at its first state.
+        let begins = t == 0 || {
+            let before = graph.states[path[t - 1]];
+            before.node != state.node || before.audio > state.audio
+        };
+        if begins {
+            phones.push(Spoken {
+                phone: hmm.phones[state.phone],
+                start: if t == 0 { 0.0 } else { border_time(t) },
+                end: duration,
+                word: words[state.node],
+                score: 0.0,
+            });
+            begun.push(t);
+        }
+        let log = heard(t, s);
+        total += log;
+        if let Some(last) = phones.last_mut() {
+            last.score += log;
+        }
+    }
+    hmm.shifts.apply(&mut phones);
+    for i in 0..phones.len() {
+        let next = begun.get(i + 1).copied().unwrap_or(path.len());
+        phones[i].score /= (next - begun[i]) as f64;
+        if let Some(start) = phones.get(i + 1).map(|p| p.start) {
+            phones[i].end = start;
+        }
+    }
+    (phones, total)
 }

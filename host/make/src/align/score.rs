@@ -48,6 +48,11 @@ impl Errors {
         }
     }
 
+    /// One border, found minus labelled, in seconds.
+    pub fn add(&mut self, difference: f64) {
+        self.0.push(difference);
+    }
+
     /// Takes in the borders of `other` too.
     pub fn merge(&mut self, other: Errors) {
         self.0.extend(other.0);

@@ -10,14 +10,14 @@ use lipstream_core::N_OBSERVATION;
 use ndarray::Array2;
 use rayon::prelude::*;
 
-use super::{Aligner, AudioHmm, Shifts, frame_time, observations, shifts};
+use super::{Aligner, AudioHmm, Bigram, Shifts, frame_time, observations, shifts};
 use crate::em;
 use crate::em::density;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::error::{Error, Result, bail, chain};
 use crate::features::{Clip, FeatureFolder, Split};
 use crate::shelf::Shelf;
-use crate::train::data;
+use crate::train::{bigram, data};
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
@@ -77,7 +77,7 @@ pub fn train(
         );
     }
     let used = &utterances.clips;
-    let labelled = used.iter().all(|c| !c.phones.is_empty());
+    let labelled = used.iter().all(|c| !c.labelled_phones().is_empty());
     let tolerance = settings.tolerance.filter(|_| labelled);
     progress.say(&format!("{} phones, {} clips", phones.len(), utterances.len()));
     let (mut parameters, mut floors, _) = em::start(&utterances, Topology::PH_HMM, &phones)?;
@@ -120,6 +120,7 @@ pub fn train(
         start_mean,
         audio: parameters.audio,
         transition: parameters.transition,
+        bigram: said(used, &phones),
         shifts: Shifts::default(),
         acoustic_scale: super::audio_hmm::ACOUSTIC_SCALE,
         provenance: format!(
@@ -234,9 +235,23 @@ fn utterance(clip: &Clip, audio: Array2<f32>, index: &dyn Fn(Phone) -> Option<us
     })
 }
 
+/// What follows what in the labels, or in each word's usual pronunciation.
+fn said(clips: &[&Clip], phones: &[Phone]) -> Bigram {
+    let mut said = bigram::Said::none(phones.len());
+    let index = |phone: Phone| phones.iter().position(|p| *p == phone);
+    for network in clips.iter().filter_map(|clip| data::network(clip, &index)) {
+        said.add(&network.usual());
+    }
+    let (initial, next) = bigram::bigram(phones.len(), &said, &data::Clips::none(phones));
+    Bigram {
+        initial: initial.into(),
+        next,
+    }
+}
+
 /// Aligns the labelled phones of the training clips and compares.
 fn learn_shifts(folder: &FeatureFolder, clips: &[&Clip], hmm: &AudioHmm) -> Result<Shifts> {
-    let aligner = Aligner::new(hmm);
+    let aligner = Aligner::new(hmm.clone());
     let borders: Vec<Vec<(usize, usize, f64)>> = clips
         .par_iter()
         .map(|clip| {

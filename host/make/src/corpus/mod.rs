@@ -1,17 +1,21 @@
 //! Corpora: finding clips, reading their labels, pronouncing their words, and `prepare`, which turns them into a
 //! feature folder.
 pub mod discover;
+mod heard;
 pub mod labels;
+mod overlay;
 pub mod phoneset;
 pub mod prepare;
 pub mod prompts;
 pub mod pronounce;
 mod sheet;
+mod spread;
 mod stamp;
 pub mod summary;
 mod take;
 mod verdict;
 mod visual;
 
+pub use heard::Hearing;
 pub use prepare::{PrepareSettings, prepare};
 pub use summary::Summary;

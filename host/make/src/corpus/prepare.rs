@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 
 use super::discover::{self, ClipFiles, Found};
+use super::heard::{Heard, Hearing, Listener};
 use super::labels::{self, Labels, SpokenWord, transcript};
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
@@ -16,7 +17,9 @@ use super::summary::{self, Summary};
 use super::take;
 use super::visual;
 use crate::error::{Context as _, Error, Result, bail, chain};
-use crate::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, Skipped, Split, Word};
+use crate::features::{
+    Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhoneLabel, PhonesFrom, Skipped, Split, Word,
+};
 use lipstream::npy;
 use lipstream::progress::{Progress, Steps};
 use lipstream::reference::{self, Normalisation, SpeechMean};
@@ -40,12 +43,16 @@ pub struct PrepareSettings {
     pub clips: discover::Options,
     /// The user's pronunciations, in CMUdict's text format.
     pub dictionary: Option<PathBuf>,
+    /// Who hears the phones of clips that have no labels with times.
+    pub hearing: Hearing,
     /// Leaves the pictures of videos alone.
     pub audio_only: bool,
     /// Eigenmouths to keep; fewer where there are not as many different images.
     pub eigenmouths: usize,
     /// Leaves each clip's mean in its weights: what a speaker looks like all through a clip.
     pub keep_clip_mean: bool,
+    /// Writes a film of every clip with what was found drawn on it: the mouth's rectangle, the lips.
+    pub overlay: bool,
     /// Nothing of an earlier run is used.
     pub fresh: bool,
 }
@@ -57,12 +64,22 @@ impl Default for PrepareSettings {
             out: PathBuf::new(),
             clips: discover::Options::default(),
             dictionary: None,
+            hearing: Hearing::default(),
             audio_only: false,
             eigenmouths: 30,
             keep_clip_mean: false,
+            overlay: false,
             fresh: false,
         }
     }
+}
+
+/// What gives clips their words and phones.
+pub(super) struct Labelling {
+    pub(super) pronouncer: Pronouncer,
+    pub(super) listener: Listener,
+    /// Whether a clip is left out whose words are not what is heard in it, as a piece of a take, whose words were found for it.
+    only_what_fits: bool,
 }
 
 /// A clip on its way: its manifest entry and where its pronunciations came from.
@@ -71,6 +88,7 @@ pub(super) struct Prepared {
     pub(super) clip: Clip,
     pub(super) words: BTreeMap<String, pronounce::Origin>,
     pub(super) named_sentence: bool,
+    pub(super) heard: Heard,
     pub(super) seconds: f64,
     sound_stamp: String,
 }
@@ -86,6 +104,7 @@ impl Prepared {
                 split: source.split,
                 audio_frames: 0,
                 video_frames: 0,
+                phones_from: PhonesFrom::Labels,
                 video_hz: 0.0,
                 words: Vec::new(),
                 phones: Vec::new(),
@@ -93,6 +112,7 @@ impl Prepared {
             source,
             words: BTreeMap::new(),
             named_sentence: false,
+            heard: Heard::Nothing,
             seconds,
             sound_stamp: String::new(),
         }
@@ -103,14 +123,18 @@ impl Prepared {
 pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Summary> {
     let began = std::time::Instant::now();
     let is_take = settings.corpus.is_file();
+    let labelling = Labelling {
+        pronouncer: Pronouncer::new(settings.dictionary.as_deref())?,
+        listener: Listener::new(&settings.hearing),
+        only_what_fits: is_take,
+    };
     let found = if is_take {
         // Before the pieces' sound is written to it.
         claim(&settings.out, settings.fresh)?;
-        take::cut(&settings.corpus, &settings.out, &settings.clips, progress)?
+        take::cut(settings, &labelling, progress)?
     } else {
         discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?
     };
-    let pronouncer = Pronouncer::new(settings.dictionary.as_deref())?;
     let decodes =
         |c: &ClipFiles| (c.video.is_some() && !settings.audio_only) || !is_read_here(c.sound_path());
     if found.clips.iter().any(decodes) {
@@ -121,7 +145,7 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
     }
 
     let mut skipped = Vec::new();
-    let (mut clips, start_mean) = listen(&found, settings, &pronouncer, progress, &mut skipped)?;
+    let (mut clips, start_mean) = listen(&found, settings, &labelling, progress, &mut skipped)?;
     observe(&clips, &settings.out, start_mean, progress)?;
     let visual_size = if settings.audio_only {
         0
@@ -186,7 +210,7 @@ pub(super) fn reason(error: &Error) -> String {
 fn listen(
     found: &Found,
     settings: &PrepareSettings,
-    pronouncer: &Pronouncer,
+    labelling: &Labelling,
     progress: &dyn Progress,
     skipped: &mut Vec<Skipped>,
 ) -> Result<(Vec<Prepared>, [f32; lipstream_core::N_STATIC])> {
@@ -200,13 +224,14 @@ fn listen(
         let read: Vec<_> = some
             .par_iter()
             .map(|source| {
-                let result = listen_to(source, &settings.out, pronouncer);
-                if let Err(error) = &result {
-                    progress.say(&format!(
-                        "skipped {}: {}",
-                        source.sound_path().display(),
-                        reason(error)
-                    ));
+                let result = listen_to(source, &settings.out, labelling);
+                let path = source.sound_path().display();
+                match &result {
+                    Err(error) => progress.say(&format!("skipped {path}: {}", reason(error))),
+                    Ok((clip, _)) if clip.heard == Heard::Otherwise => progress.say(&format!(
+                        "{path}: its words do not fit what is heard in it; check them"
+                    )),
+                    Ok(_) => {}
                 }
                 steps.made();
                 result
@@ -252,7 +277,7 @@ fn listen(
 fn listen_to(
     source: &ClipFiles,
     out: &Path,
-    pronouncer: &Pronouncer,
+    labelling: &Labelling,
 ) -> Result<(Prepared, ndarray::Array2<f64>)> {
     let sound_stamp = stamp::of_file(source.sound_path())?;
     let samples = sound(source, out, &sound_stamp)?;
@@ -273,7 +298,7 @@ fn listen_to(
     let words = labels
         .words
         .iter()
-        .map(|word| spoken(word, pronouncer, &mut from))
+        .map(|word| spoken(word, &labelling.pronouncer, &mut from))
         .collect::<Result<_>>()?;
     let phones = labels.phones.iter().map(|(start, end, phone)| PhoneLabel {
         phone: phone.name().to_owned(),
@@ -281,21 +306,32 @@ fn listen_to(
         end: *end as f32,
     });
     let statics = reference::statics(&samples);
-    let clip = Clip {
+    let mut clip = Clip {
         id: source.id.clone(),
         speaker: source.speaker.clone(),
         split: source.split,
         audio_frames: statics.nrows(),
         video_frames: 0,
+        phones_from: PhonesFrom::Labels,
         video_hz: 0.0,
         words,
         phones: phones.filter(|p| p.end > p.start).collect(),
     };
+    let heard = labelling.listener.hear(&mut clip, &samples)?;
+    if heard == Heard::Otherwise && labelling.only_what_fits {
+        let words: Vec<&str> = clip.words.iter().map(|w| w.text.as_str()).collect();
+        bail!(
+            Data,
+            "its words do not fit what is heard in it: {}",
+            words.join(" ")
+        );
+    }
     let prepared = Prepared {
         source: source.clone(),
         clip,
         words: from,
         named_sentence,
+        heard,
         seconds,
         sound_stamp,
     };
@@ -394,7 +430,8 @@ fn sweep(settings: &PrepareSettings, manifest: &Manifest) -> Result<()> {
         ("visual", &["npy"], &seen),
         // Dear to make: a run without pictures leaves them for the next one with.
         ("mouths", &["npy"], if settings.audio_only { &ids } else { &seen }),
-        ("cache", &["sound", "audio", "mouths", "visual"], &ids),
+        ("overlay", &["mp4"], &seen),
+        ("cache", &["sound", "audio", "mouths", "visual", "overlay"], &ids),
     ] {
         let Ok(entries) = std::fs::read_dir(out.join(folder)) else {
             continue;

@@ -4,6 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use serde::Serialize;
 
 use super::discover::{Found, SplitBy};
+use super::heard::Heard;
 use super::prepare::{PrepareSettings, Prepared};
 use super::pronounce;
 use crate::features::{Clip, Manifest, Skipped, Split};
@@ -41,8 +42,12 @@ pub struct Summary {
     pub test: SplitSummary,
     /// Numbers in a visual frame; 0 without video.
     pub visual_size: usize,
-    /// Clips without any label.
+    /// Clips without any label, in which nobody heard phones.
     pub unlabelled: usize,
+    /// Clips without any label whose phones were recognised.
+    pub recognised: usize,
+    /// Clips whose transcript was aligned with their sound.
+    pub aligned: usize,
     /// Clips whose sentence was read from their GRID file name.
     pub named_sentences: usize,
     /// Different words, by where their pronunciation came from.
@@ -92,6 +97,7 @@ pub(super) fn summarise(
             }
         }
     }
+    let heard = |heard| clips.iter().filter(|c| c.heard == heard).count();
     let from = |source| words.iter().filter(move |(_, s)| **s == source);
     Summary {
         corpus: manifest.corpus,
@@ -108,10 +114,9 @@ pub(super) fn summarise(
         val: split(Split::Val),
         test: split(Split::Test),
         visual_size: manifest.visual_size,
-        unlabelled: clips
-            .iter()
-            .filter(|c| c.clip.words.is_empty() && c.clip.phones.is_empty())
-            .count(),
+        unlabelled: clips.iter().filter(|c| !c.clip.is_labelled()).count(),
+        recognised: heard(Heard::Recognised),
+        aligned: heard(Heard::Aligned),
         named_sentences: clips.iter().filter(|c| c.named_sentence).count(),
         words_from_user_dictionary: from(pronounce::Origin::User).count(),
         words_from_dictionary: from(pronounce::Origin::Dictionary).count(),

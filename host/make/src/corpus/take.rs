@@ -1,15 +1,19 @@
 //! One long take, a video or its sound alone, as a corpus: cut into pieces of some seconds, between its subtitles where there are some, else at
-//! its pauses.
+//! its pauses. Where a text without times lies beside it, every piece gets the words of it that are said there.
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_media::video::{self, Part};
 use lipstream_media::{files, sound};
 
-use super::discover::{ClipFiles, Found, Options, SOUND, deal, safe};
+use super::discover::{ClipFiles, Found, SOUND, deal, safe};
 use super::labels::subtitles::{self, Subtitle};
+use super::labels::{self, transcript};
+use super::prepare::{Labelling, PrepareSettings};
+use super::spread;
 use crate::error::{Context as _, Error, Result, bail};
-use crate::features::Split;
+use crate::features::{Split, Word};
 use lipstream::progress::Progress;
 
 /// Seconds of a piece, at least and at most.
@@ -36,12 +40,24 @@ struct Piece {
     speech: bool,
 }
 
+impl Piece {
+    /// Its samples in a take of `all` samples.
+    fn samples(self, all: usize) -> Range<usize> {
+        (self.from * HOP_SAMPLES).min(all)..(self.to * HOP_SAMPLES).min(all)
+    }
+}
+
 /// Cuts a video, writes the sound of every piece to `out`, and deals the pieces out.
 ///
 /// # Errors
 ///
 /// That it has no sound or no speech, and what the disk says.
-pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Progress) -> Result<Found> {
+pub(super) fn cut(
+    settings: &PrepareSettings,
+    labelling: &Labelling,
+    progress: &dyn Progress,
+) -> Result<Found> {
+    let take = settings.corpus.as_path();
     let ending = take
         .extension()
         .unwrap_or_default()
@@ -61,7 +77,7 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
         None => (pieces(&samples), Vec::new()),
         Some((_, said)) => pieces_of(said, samples.len() / HOP_SAMPLES).into_iter().unzip(),
     };
-    let texts: Vec<String> = texts;
+    let mut texts: Vec<String> = texts;
     let spoken: Vec<Piece> = pieces.iter().copied().filter(|piece| piece.speech).collect();
     if spoken.is_empty() {
         bail!(
@@ -70,22 +86,27 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
             take.display()
         );
     }
+    let beside = take.with_extension("txt");
+    if said.is_none() && beside.is_file() {
+        texts = texts_of(&beside, &samples, &spoken, labelling, progress)
+            .with_context(|| format!("cannot tell where the words of {} are said", beside.display()))?;
+    }
     let stem = take
         .file_stem()
         .unwrap_or_default()
         .to_string_lossy()
         .into_owned();
-    let folder = out.join("take");
+    let folder = settings.out.join("take");
     std::fs::create_dir_all(&folder).with_context(|| format!("cannot make {}", folder.display()))?;
     let mut clips = Vec::new();
     for (number, piece) in (1..).zip(&spoken) {
         let id = format!("{}-{number:04}", safe(&stem));
         let path = folder.join(format!("{id}.wav"));
-        let of = &samples[piece.from * HOP_SAMPLES..(piece.to * HOP_SAMPLES).min(samples.len())];
+        let of = &samples[piece.samples(samples.len())];
         write_if_other(&path, of)?;
         let seconds = |hops: usize| hops as f64 * HOP_SAMPLES as f64 / f64::from(SAMPLE_RATE_HZ);
         let mut labels = Vec::new();
-        if let Some(text) = texts.get(number - 1) {
+        if let Some(text) = texts.get(number - 1).filter(|text| !text.is_empty()) {
             let path = folder.join(format!("{id}.txt"));
             files::write_bytes(&path, text.as_bytes()).map_err(Error::other)?;
             labels.push(path);
@@ -115,19 +136,46 @@ pub(super) fn cut(take: &Path, out: &Path, options: &Options, progress: &dyn Pro
     if let Some((path, _)) = &said {
         progress.say(&format!("what is said comes from {}", path.display()));
     }
-    let beside = take.with_extension("txt");
-    if beside.is_file() && said.is_none() {
-        progress.say(&format!(
-            "{} is not read: a text without times is not cut with its take; subtitles (.srt, .vtt) are",
-            beside.display()
-        ));
-    }
-    let split_by = deal(&mut clips, false, options)?;
+    let split_by = deal(&mut clips, false, &settings.clips)?;
     Ok(Found {
         clips,
         left_alone: Vec::<PathBuf>::new(),
         split_by,
     })
+}
+
+/// What is said in each piece, from a text without times; nothing where nobody listens.
+fn texts_of(
+    path: &Path,
+    samples: &[i16],
+    pieces: &[Piece],
+    labelling: &Labelling,
+    progress: &dyn Progress,
+) -> Result<Vec<String>> {
+    let Some(ears) = labelling.listener.ears()? else {
+        progress.say(&format!(
+            "{} is not read: where its words are said is heard, and nobody listens",
+            path.display()
+        ));
+        return Ok(Vec::new());
+    };
+    let bytes = files::read_bytes(path).map_err(Error::other)?;
+    let words = transcript::words(&labels::decode(&bytes)?);
+    let words = words
+        .iter()
+        .map(|word| Ok(labelling.pronouncer.spoken(word)?.0))
+        .collect::<Result<Vec<Word>>>()?;
+    if words.is_empty() {
+        bail!(Data, "there are no words in it");
+    }
+    progress.say(&format!("what is said comes from {}", path.display()));
+    let pieces: Vec<_> = pieces.iter().map(|piece| piece.samples(samples.len())).collect();
+    let spread = spread::spread(ears, samples, &pieces, &words)?;
+    let text = |range: Range<usize>| {
+        let texts: Vec<&str> = words[range].iter().map(|w| w.text.as_str()).collect();
+        texts.join(" ")
+    };
+    Ok(spread.into_iter().map(text).collect())
 }
 
 /// The subtitles beside a take, and which file they are in; those without words are left out.

@@ -11,6 +11,7 @@ use ndarray::Array4;
 use rayon::prelude::*;
 
 use super::discover::ClipFiles;
+use super::overlay;
 use super::prepare::{PrepareSettings, Prepared, reason};
 use super::stamp::{self, Notes};
 use super::verdict::{self, Seen};
@@ -59,7 +60,7 @@ pub(super) fn see(
     skipped: &mut Vec<Skipped>,
 ) -> Result<usize> {
     let out = settings.out.as_path();
-    let results = track_all(clips, out, progress)?;
+    let results = track_all(clips, settings, progress)?;
     if results.iter().all(Option::is_none) {
         return Ok(0);
     }
@@ -135,7 +136,15 @@ fn place(prepared: &Prepared) -> String {
 /// Mouth images of every clip with video, and what vouches for them.
 type Tracked = Option<Result<(Seen, Stamp)>>;
 
-fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<Vec<Tracked>> {
+/// Clips that are tracked between two looks at whose face comes next, for each thread.
+const CLIPS_PER_THREAD: usize = 8;
+
+fn track_all(
+    clips: &[Prepared],
+    settings: &PrepareSettings,
+    progress: &dyn Progress,
+) -> Result<Vec<Tracked>> {
+    let out = settings.out.as_path();
     let mut faces = faces(clips)?;
     // The speaker with the most training clips first: his mouth's size is everyone's.
     faces.sort_by_key(|f| {
@@ -146,24 +155,25 @@ fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<
     let count = faces.iter().map(|f| f.clips.len()).sum();
     let steps = (count > 0).then(|| Steps::begin(progress, "mouths", count));
     let mut size: Option<(usize, usize)> = None;
-    for face in &faces {
-        // Learnt here and not in the loop below, where one thread would wait for what it is doing itself.
-        if !face
-            .clips
+    let mut faces = std::collections::VecDeque::from(faces);
+    while !faces.is_empty() {
+        // Until the size is known the speakers come one by one, then as many as keep all threads busy.
+        let group = next_group(&mut faces, size.is_none());
+        let wanted = Wanted { size, settings };
+        learn(&group, clips, wanted);
+        let of_group: Vec<(&Face, usize)> = group
             .iter()
-            .all(|i| tracked(&clips[*i], face, size, out).is_ok_and(|t| t.1.is_some()))
-        {
-            let _ = face.tracker();
-        }
-        let track = |i: &usize| {
-            let result = track_one(&clips[*i], face, size, out);
+            .flat_map(|face| face.clips.iter().map(move |i| (face, *i)))
+            .collect();
+        let track = |&(face, i): &(&Face, usize)| {
+            let result = track_one(&clips[i], face, wanted);
             if let Err(error) = &result {
-                progress.say(&format!("skipped {}: {}", place(&clips[*i]), reason(error)));
+                progress.say(&format!("skipped {}: {}", place(&clips[i]), reason(error)));
             }
             steps.iter().for_each(Steps::made);
-            (*i, result)
+            (i, result)
         };
-        for (i, result) in face.clips.par_iter().map(track).collect::<Vec<_>>() {
+        for (i, result) in of_group.par_iter().map(track).collect::<Vec<_>>() {
             if size.is_none() && result.is_ok() {
                 let images = features::read_mouths(&mouths_path(out, &clips[i].clip.id))?;
                 size = Some((images.dim().2, images.dim().1));
@@ -172,6 +182,47 @@ fn track_all(clips: &[Prepared], out: &Path, progress: &dyn Progress) -> Result<
         }
     }
     Ok(results)
+}
+
+/// The speakers to look at next: one, or so many that every thread has some clips.
+fn next_group<'a>(faces: &mut std::collections::VecDeque<Face<'a>>, one: bool) -> Vec<Face<'a>> {
+    let enough = CLIPS_PER_THREAD * rayon::current_num_threads();
+    let mut group: Vec<Face> = faces.pop_front().into_iter().collect();
+    let mut clips: usize = group.iter().map(|face| face.clips.len()).sum();
+    while !one && clips < enough {
+        let Some(face) = faces.pop_front() else { break };
+        clips += face.clips.len();
+        group.push(face);
+    }
+    group
+}
+
+/// Learns the faces of a group whose clips an earlier run has not done.
+///
+/// Learnt here and not where clips are tracked, where one thread would wait for what it is doing itself. One face is learnt on all threads, of
+/// several each on one, so that no more faces are in memory than there are threads.
+fn learn(group: &[Face], clips: &[Prepared], wanted: Wanted) {
+    let is_done = |face: &Face| {
+        let done = |i: &usize| tracked(&clips[*i], face, wanted).is_ok_and(|t| t.1.is_some());
+        face.clips.iter().all(done)
+    };
+    match group {
+        // An error is said of every clip that needs the face.
+        [face] if !is_done(face) => drop(face.tracker(true)),
+        [_] | [] => {}
+        several => several
+            .par_iter()
+            .filter(|face| !is_done(face))
+            .for_each(|face| drop(face.tracker(false))),
+    }
+}
+
+/// What is wanted of every clip.
+#[derive(Clone, Copy)]
+struct Wanted<'s> {
+    /// Width and height of all mouth images, once they are known.
+    size: Option<(usize, usize)>,
+    settings: &'s PrepareSettings,
 }
 
 /// The speakers with video, in the order of their names, and the clips that their faces are learnt from.
@@ -207,8 +258,8 @@ fn faces(clips: &[Prepared]) -> Result<Vec<Face<'_>>> {
 }
 
 impl Face<'_> {
-    /// The speaker's tracker, learnt when the first clip needs it.
-    fn tracker(&self) -> Result<&Tracker> {
+    /// The speaker's tracker, learnt when it is first asked for, on one thread or on all.
+    fn tracker(&self, on_all: bool) -> Result<&Tracker> {
         let learn = || -> Result<Tracker> {
             let thinned = |source: &&ClipFiles| {
                 let frames = decode(source)?;
@@ -216,7 +267,11 @@ impl Face<'_> {
             };
             let mut clips = Vec::new();
             let mut trouble: Option<Error> = None;
-            for decoded in self.reference.par_iter().map(thinned).collect::<Vec<_>>() {
+            let decoded: Vec<Result<Frames>> = match on_all {
+                true => self.reference.par_iter().map(thinned).collect(),
+                false => self.reference.iter().map(thinned).collect(),
+            };
+            for decoded in decoded {
                 match decoded {
                     Ok(frames) => clips.push(frames),
                     Err(error) => trouble = Some(error),
@@ -239,19 +294,23 @@ pub(super) fn mouths_path(out: &Path, id: &str) -> std::path::PathBuf {
 }
 
 /// What would vouch for a clip's mouth images, and their number and rate if an earlier run has made them.
-fn tracked(
-    prepared: &Prepared,
-    face: &Face,
-    size: Option<(usize, usize)>,
-    out: &Path,
-) -> Result<(Stamp, Option<Seen>)> {
+fn tracked(prepared: &Prepared, face: &Face, wanted: Wanted) -> Result<(Stamp, Option<Seen>)> {
     let id = &prepared.clip.id;
-    let size = size.map_or("own".into(), |(w, h)| format!("{w}x{h}"));
+    let out = wanted.settings.out.as_path();
+    let size = wanted.size.map_or("own".into(), |(w, h)| format!("{w}x{h}"));
     let stamp = format!("{} {} {size}", video_stamp(&prepared.source)?, face.stamp);
     let path = mouths_path(out, id);
-    let Some(noted) = Notes::new(out, id).vouched("mouths", &stamp, &path) else {
+    let notes = Notes::new(out, id);
+    let Some(noted) = notes.vouched("mouths", &stamp, &path) else {
         return Ok((stamp, None));
     };
+    if wanted.settings.overlay
+        && notes
+            .vouched("overlay", &stamp, &overlay::path(out, id))
+            .is_none()
+    {
+        return Ok((stamp, None));
+    }
     let images = features::read_mouths(&path)?;
     let seen = Seen::of_note(&noted, images.dim().0);
     let seen = seen.ok_or_else(|| Error::Data("a damaged note in the cache".into()))?;
@@ -259,21 +318,17 @@ fn tracked(
 }
 
 /// One clip's mouth images in `mouths/`, from an earlier run or tracked now.
-fn track_one(
-    prepared: &Prepared,
-    face: &Face,
-    size: Option<(usize, usize)>,
-    out: &Path,
-) -> Result<(Seen, Stamp)> {
+fn track_one(prepared: &Prepared, face: &Face, wanted: Wanted) -> Result<(Seen, Stamp)> {
     let id = &prepared.clip.id;
+    let out = wanted.settings.out.as_path();
     let path = mouths_path(out, id);
-    let (stamp, done) = tracked(prepared, face, size, out)?;
+    let (stamp, done) = tracked(prepared, face, wanted)?;
     if let Some(seen) = done {
         return Ok((seen, stamp));
     }
     let notes = Notes::new(out, id);
     notes.forget("mouths");
-    let tracker = face.tracker()?;
+    let tracker = face.tracker(false)?;
     let frames = decode(&prepared.source)?;
     let pictures_s = frames.len() as f64 / f64::from(frames.rate_hz);
     if (pictures_s - prepared.seconds).abs() > LENGTHS_DIFFER_S {
@@ -284,6 +339,12 @@ fn track_one(
         );
     }
     let track = tracker.track(&frames)?;
+    if wanted.settings.overlay {
+        let sound = out.join("wav").join(format!("{id}.wav"));
+        overlay::write(&overlay::path(out, id), &frames, &track, &sound)
+            .with_context(|| format!("cannot write the overlay of {id}"))?;
+        notes.note("overlay", &stamp)?;
+    }
     drop(frames);
     let seen = Seen {
         frames: track.len(),
@@ -291,7 +352,7 @@ fn track_one(
         lips: track.lips,
     };
     let images = Array4::from_shape_vec((seen.frames, track.height, track.width, 3), track.images)?;
-    let images = match size {
+    let images = match wanted.size {
         Some(size) if size != (track.width, track.height) => resampled(&images, size),
         _ => images,
     };
@@ -334,6 +395,7 @@ fn as_track(images: Array4<u8>, rate_hz: f32) -> MouthTrack {
         colour: [ChannelMap::IDENTITY; 3],
         rate_hz,
         lips: None,
+        outlines: Vec::new(),
     }
 }
 
@@ -486,7 +548,11 @@ mod tests {
             .collect();
         for (i, prepared) in clips.iter().enumerate() {
             let face = &faces(&clips).unwrap()[0];
-            let (stamp, done) = tracked(prepared, face, None, &settings.out).unwrap();
+            let wanted = Wanted {
+                size: None,
+                settings: &settings,
+            };
+            let (stamp, done) = tracked(prepared, face, wanted).unwrap();
             assert!(done.is_none());
             write_mouths(&mouths_path(&settings.out, &prepared.clip.id), &pictures(i)).unwrap();
             let notes = Notes::new(&settings.out, &prepared.clip.id);

@@ -71,7 +71,7 @@ impl Changes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{Split, Word};
+    use crate::features::{PhonesFrom, Split, Word};
     use lipstream::phones::VISEMES;
     use ndarray::Array2;
 
@@ -87,6 +87,7 @@ mod tests {
             split: Split::Test,
             audio_frames: 296,
             video_frames: 75,
+            phones_from: PhonesFrom::Labels,
             video_hz: 25.0,
             words: vec![Word {
                 text: "bin".into(),

@@ -356,7 +356,7 @@ pub fn summary(truths: &[TrueGap]) -> Closure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::PhoneLabel;
+    use crate::features::{PhoneLabel, PhonesFrom};
     use lipstream::render::drawn;
     use ndarray::array;
 
@@ -413,6 +413,7 @@ mod tests {
             split: Split::Test,
             audio_frames: 100,
             video_frames: 25,
+            phones_from: PhonesFrom::Labels,
             video_hz: 25.0,
             words: Vec::new(),
             phones: vec![

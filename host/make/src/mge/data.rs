@@ -94,8 +94,12 @@ fn read_with(
             parent.visual_size()
         );
     }
-    let mut train = Clips::new(folder, Split::Train, &parent.phones, progress).readable(true, progress);
-    let mut validation = Clips::new(folder, Split::Val, &parent.phones, progress).readable(false, progress);
+    let clips = |split| match adapts {
+        None => Clips::new(folder, split, &parent.phones, progress),
+        Some(_) => Clips::unlabelled(folder, split, &parent.phones),
+    };
+    let mut train = clips(Split::Train).readable(true, progress);
+    let mut validation = clips(Split::Val).readable(false, progress);
     validation.extend(&hold_out_and_draw(&mut train, settings));
     if train.is_empty() {
         bail!(
@@ -300,7 +304,7 @@ impl Deviations {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{Clip as Listed, MANIFEST_VERSION, Manifest, PhoneLabel};
+    use crate::features::{Clip as Listed, MANIFEST_VERSION, Manifest, PhoneLabel, PhonesFrom};
     use lipstream::phones::Phone;
 
     /// A folder of silent training clips that is a manifest and no files.
@@ -311,6 +315,7 @@ mod tests {
             split: Split::Train,
             audio_frames: 100,
             video_frames: 25,
+            phones_from: PhonesFrom::Labels,
             video_hz: 25.0,
             words: Vec::new(),
             phones: vec![PhoneLabel {

@@ -6,13 +6,13 @@ use lipstream::hmm::joint::N_EMITTING;
 
 /// How often each phone came first, and each after each.
 #[derive(Clone, Debug)]
-pub(super) struct Said {
+pub(crate) struct Said {
     first: Array1<f64>,
     next: Array2<f64>,
 }
 
 impl Said {
-    pub(super) fn none(phones: usize) -> Self {
+    pub(crate) fn none(phones: usize) -> Self {
         Self {
             first: Array1::zeros(phones),
             next: Array2::zeros((phones, phones)),
@@ -20,7 +20,7 @@ impl Said {
     }
 
     /// Adds the phones of one utterance.
-    pub(super) fn add(&mut self, said: &[usize]) {
+    pub(crate) fn add(&mut self, said: &[usize]) {
         if let Some(&first) = said.first() {
             self.first[first] += 1.0;
         }
@@ -46,17 +46,10 @@ pub(super) fn said_on(path: &[(usize, usize)]) -> Vec<usize> {
 
 /// ln P(first phone) and ln P(next | phone): halves from the model's own talker and from the other speakers, with a
 /// twentieth spread evenly, so that every phone can follow every other.
-pub(super) fn bigram(n: usize, own: &Said, heard: &Clips) -> (Vec<f32>, Array2<f32>) {
+pub(crate) fn bigram(n: usize, own: &Said, heard: &Clips) -> (Vec<f32>, Array2<f32>) {
     let mut others = Said::none(n);
     for network in heard.networks() {
-        // Labelled utterances are chains; in a transcript the first pronunciation stands for all.
-        let mut said = Vec::new();
-        let mut node = network.entries.first().map(|e| e.0);
-        while let Some(at) = node {
-            said.push(network.nodes[at]);
-            node = network.successors[at].first().map(|s| s.0);
-        }
-        others.add(&said);
+        others.add(&network.usual());
     }
     let mix = |a: f64, total_a: f64, b: f64, total_b: f64| -> f32 {
         let even = 1.0 / n as f64;

@@ -101,7 +101,11 @@ fn start_labels(
 }
 
 /// The network that training follows: the labelled phones one by one, or the transcript with its alternatives.
+/// None for a clip of which nothing tells what is said.
 pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Option<PhoneNetwork> {
+    if !clip.is_labelled() {
+        return None;
+    }
     if clip.phones.is_empty() {
         return PhoneNetwork::transcript(&clip.words, index);
     }
@@ -118,10 +122,17 @@ pub(crate) fn network(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Op
 
 /// The network of a clip that can be used; `Err` says why it cannot. Looks at the manifest only.
 fn usable(clip: &Clip, index: &dyn Fn(Phone) -> Option<usize>) -> Result<PhoneNetwork> {
+    if !clip.is_labelled() {
+        bail!(
+            Data,
+            "clip {}: nothing tells its phones; prepare it with a transcript, or so that they are recognised",
+            clip.id
+        );
+    }
     let Some(network) = network(clip, index) else {
         bail!(
             Data,
-            "clip {}: its transcript holds a phone that the model does not have, or none at all",
+            "clip {}: its transcript holds a phone that the model does not have",
             clip.id
         )
     };
@@ -153,6 +164,8 @@ pub struct Clips<'a> {
     clips: Vec<(&'a FeatureFolder, &'a Clip)>,
     phones: &'a [Phone],
     observed: Observed,
+    /// Whether what is said counts; where not, every clip is one phone, silence.
+    labels: bool,
 }
 
 impl<'a> Clips<'a> {
@@ -162,6 +175,7 @@ impl<'a> Clips<'a> {
             clips: Vec::new(),
             phones,
             observed: Observed::Apart,
+            labels: true,
         }
     }
 
@@ -172,10 +186,8 @@ impl<'a> Clips<'a> {
         phones: &'a [Phone],
         progress: &dyn Progress,
     ) -> Self {
-        let mut clips = Self {
-            clips: folder.split(split).map(|clip| (folder, clip)).collect(),
-            ..Self::none(phones)
-        };
+        let mut clips = Self::unlabelled(folder, split, phones);
+        clips.labels = true;
         let fit = clips
             .clips
             .iter()
@@ -183,6 +195,15 @@ impl<'a> Clips<'a> {
         let fit: Vec<Result<()>> = fit.collect();
         clips.leave_out(fit, progress);
         clips
+    }
+
+    /// All clips, whatever is known of what is said in them, for training that does not ask.
+    pub fn unlabelled(folder: &'a FeatureFolder, split: Split, phones: &'a [Phone]) -> Self {
+        Self {
+            clips: folder.split(split).map(|clip| (folder, clip)).collect(),
+            labels: false,
+            ..Self::none(phones)
+        }
     }
 
     /// Those whose files can be read, and have a mouth if they are to.
@@ -278,8 +299,11 @@ impl Source for Clips<'_> {
 
     fn get(&self, n: usize) -> Result<Cow<'_, Utterance>> {
         let (folder, clip) = self.clips[n];
-        let network = usable(clip, &self.index())?;
-        let start = start_labels(&timed_phones(clip), clip.audio_frames, &self.index())?;
+        let (network, labels) = match self.labels {
+            true => (usable(clip, &self.index())?, timed_phones(clip)),
+            false => (PhoneNetwork::chain(&[0]), Vec::new()),
+        };
+        let start = start_labels(&labels, clip.audio_frames, &self.index())?;
         let audio = folder.audio(clip)?;
         let visual = match clip.video_frames {
             _ if self.observed == Observed::Sound => None,

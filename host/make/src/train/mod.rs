@@ -1,7 +1,7 @@
 //! From feature folders to a model (`docs/design.md` section 4): joint EM on audio and video, the audio densities retrained on
 //! many speakers, recombination, and how the model is followed and what it says, chosen on validation clips.
 mod audio;
-mod bigram;
+pub(crate) mod bigram;
 pub mod data;
 mod em;
 pub mod local_linear;

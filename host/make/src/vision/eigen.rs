@@ -197,6 +197,7 @@ mod tests {
             colour: [ChannelMap::IDENTITY; 3],
             rate_hz: 25.0,
             lips: None,
+            outlines: Vec::new(),
         }
     }
 

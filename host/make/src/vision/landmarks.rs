@@ -61,7 +61,15 @@ pub(crate) struct Lips {
     pub(crate) gap: f32,
 }
 
+/// The outer lips, around; the corners are the first and the eleventh.
+pub type Outline = [(f32, f32); OUTER_LIPS.len()];
+
 impl Landmarks {
+    /// The outer lips.
+    pub fn outline(&self) -> Outline {
+        OUTER_LIPS.map(|index| self.0[index])
+    }
+
     /// The lips' place, each point through `map`.
     pub(crate) fn lips(&self, map: &Affine) -> Lips {
         let at = |index: usize| {
@@ -69,7 +77,7 @@ impl Landmarks {
             map.apply(x, y)
         };
         let mut extent = [f32::INFINITY, f32::INFINITY, f32::NEG_INFINITY, f32::NEG_INFINITY];
-        for (x, y) in OUTER_LIPS.map(at) {
+        for (x, y) in self.outline().map(|(x, y)| map.apply(x, y)) {
             extent = [
                 extent[0].min(x),
                 extent[1].min(y),

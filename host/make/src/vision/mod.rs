@@ -13,5 +13,5 @@ mod tracker;
 pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths};
 pub use footage::{LONGEST_S, footage};
-pub use landmarks::{LandmarkFinder, Landmarks};
+pub use landmarks::{LandmarkFinder, Landmarks, Outline};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};

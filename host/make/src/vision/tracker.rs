@@ -8,7 +8,7 @@
 use super::colour::{self, ChannelMap};
 use super::face::{Detector, FaceBox};
 use super::image::{Plane, Pyramid, colour_planes, luminance};
-use super::landmarks::{LandmarkFinder, Landmarks, Lips, Walk};
+use super::landmarks::{LandmarkFinder, Landmarks, Lips, Outline, Walk};
 use super::reference::{Reference, learn};
 use super::register::{LEVELS, Registration, Template};
 use crate::error::{Result, bail};
@@ -66,6 +66,9 @@ pub struct MouthTrack {
     pub rate_hz: f32,
     /// What was seen of the lips; None where the speaker's were not found and motion says where the mouth is.
     pub lips: Option<LipsSeen>,
+    /// The outer lips in pixels of the frame, around, the corners first and eleventh, `[n]`: as seen where they were looked for, in
+    /// between on the straight way; None where no lips are near. Empty where none were looked for.
+    pub outlines: Vec<Option<Outline>>,
 }
 
 impl MouthTrack {
@@ -77,6 +80,11 @@ impl MouthTrack {
     /// Whether the clip has no picture.
     pub fn is_empty(&self) -> bool {
         self.transforms.is_empty()
+    }
+
+    /// Whether the face was lost in picture `index`, and its place is between its neighbours'.
+    pub fn is_lost(&self, index: usize) -> bool {
+        self.scores[index] < LEAST_SCORE
     }
 
     /// Mouth `index`, `[height, width, 3]`.
@@ -119,7 +127,7 @@ impl Tracker {
             };
             follow(&self.reference.template, &view, face, &mut detector, most_lost)?
         };
-        let (maps, lips) = self.on_the_lips(frames, &view, &mut detector, steadied(&maps))?;
+        let (maps, lips, outlines) = self.on_the_lips(frames, &view, &mut detector, steadied(&maps))?;
         let colour = self.clip_colour(&view, &maps);
         let mouth = &self.reference.mouth;
         let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
@@ -148,6 +156,7 @@ impl Tracker {
             colour,
             rate_hz: frames.rate_hz,
             lips,
+            outlines,
         })
     }
 
@@ -158,10 +167,10 @@ impl Tracker {
         view: &View,
         detector: &mut Detector,
         mut maps: Vec<Affine>,
-    ) -> Result<(Vec<Affine>, Option<LipsSeen>)> {
+    ) -> Result<(Vec<Affine>, Option<LipsSeen>, Vec<Option<Outline>>)> {
         let mouth = &self.reference.mouth;
         let Some(anchor) = mouth.anchor else {
-            return Ok((maps, None));
+            return Ok((maps, None, Vec::new()));
         };
         let to_template = Affine::scaled(1.0, mouth.left, mouth.top);
         let in_rectangle = |map: &Affine| view.to_frame().after(map).after(&to_template).inverse();
@@ -229,7 +238,8 @@ impl Tracker {
                 followed.len()
             );
         }
-        Ok((maps, Some(found)))
+        let outlines = between(&looks, maps.len());
+        Ok((maps, Some(found), outlines))
     }
 
     /// The clip's mean colours of the registered face, fitted to the speaker's.
@@ -237,6 +247,27 @@ impl Tracker {
         let seen = view.mean_colours(maps.iter().enumerate(), &self.reference.skin);
         std::array::from_fn(|c| colour::fit(&seen[c], &self.reference.colours[c]))
     }
+}
+
+/// The lips' outline in every one of `count` pictures, from those looked at.
+fn between(looks: &[(usize, Option<Landmarks>)], count: usize) -> Vec<Option<Outline>> {
+    let mut out = vec![None; count];
+    let seen = |look: &(usize, Option<Landmarks>)| Some((look.0, look.1.as_ref()?.outline()));
+    for (n, look) in looks.iter().enumerate() {
+        let Some((from, here)) = seen(look) else { continue };
+        let next = looks.get(n + 1);
+        let until = next.map_or(count, |next| next.0);
+        let there = next.and_then(seen).map_or(here, |(_, there)| there);
+        for (index, outline) in out.iter_mut().enumerate().take(until).skip(from) {
+            let share = (index - from) as f32 / (until - from) as f32;
+            let on_the_way = |k: usize| {
+                let ((x, y), (to_x, to_y)) = (here[k], there[k]);
+                (x + share * (to_x - x), y + share * (to_y - y))
+            };
+            *outline = Some(std::array::from_fn(on_the_way));
+        }
+    }
+    out
 }
 
 /// A clip at the resolution at which it is worked on: reduced so that its face is about as large as the template's.

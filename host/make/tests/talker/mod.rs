@@ -2,7 +2,7 @@
 use std::path::Path;
 
 use lipstream::npy::write_npy;
-use lipstream_make::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, Split, Word};
+use lipstream_make::features::{Clip, FeatureFolder, MANIFEST_VERSION, Manifest, PhonesFrom, Split, Word};
 use lipstream_make::train::data;
 use ndarray::Array2;
 use rand::{RngExt, SeedableRng};
@@ -81,6 +81,7 @@ pub(crate) fn made_up_talker(root: &Path, train: usize) -> FeatureFolder {
             },
             audio_frames: audio.nrows(),
             video_frames: visual.nrows(),
+            phones_from: PhonesFrom::Labels,
             video_hz: 25.0,
             words,
             phones: Vec::new(),

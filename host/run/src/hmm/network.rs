@@ -118,6 +118,51 @@ impl PhoneNetwork {
         Some(net)
     }
 
+    /// A transcript's network in which any of the `first` words at the beginning, and any of the `last` at the end, may be left out.
+    pub fn with_open_ends(mut self, first: usize, last: usize) -> Self {
+        let (Some(&(begin, _)), Some(&end)) = (self.entries.first(), self.exits.first()) else {
+            return self;
+        };
+        let count = self.words.iter().flatten().max().map_or(0, |last| last + 1);
+        let mut begins = vec![true; self.nodes.len()];
+        let mut ends = vec![true; self.nodes.len()];
+        for (node, next) in self.successors.iter().enumerate() {
+            for &(next, _) in next {
+                if self.words[node].is_some() && self.words[node] == self.words[next] {
+                    (begins[next], ends[node]) = (false, false);
+                }
+            }
+        }
+        for node in 0..self.nodes.len() {
+            let Some(word) = self.words[node] else { continue };
+            let arc = |from: &mut Vec<(usize, f32)>, to: usize| {
+                if !from.iter().any(|(next, _)| *next == to) {
+                    from.push((to, 0.0));
+                }
+            };
+            if begins[node] && word <= first {
+                arc(&mut self.successors[begin], node);
+            }
+            if ends[node] && word + 1 + last >= count {
+                arc(&mut self.successors[node], end);
+            }
+        }
+        self.share_probability();
+        self
+    }
+
+    /// The phones of a left-right network in which the first of several ways stands for all: labels as they are, of a transcript the usual
+    /// pronunciations.
+    pub fn usual(&self) -> Vec<usize> {
+        let mut said = Vec::new();
+        let mut node = self.entries.first().map(|e| e.0);
+        while let Some(at) = node {
+            said.push(self.nodes[at]);
+            node = self.successors[at].first().map(|s| s.0);
+        }
+        said
+    }
+
     fn node(&mut self, phone: usize, word: Option<usize>) -> usize {
         self.nodes.push(phone);
         self.words.push(word);
@@ -188,6 +233,27 @@ mod tests {
         assert_eq!(net.successors[begin].len(), 2);
         assert!((net.successors[begin][0].1 - 0.5f32.ln()).abs() < 1e-6);
         assert_eq!(net.shortest(1), 5);
+    }
+
+    #[test]
+    fn words_at_open_ends_may_be_left_out() {
+        let words = [word(&[&["b"]]), word(&[&["d", "iy"], &["d"]]), word(&[&["s"]])];
+        let all = |p: Phone| Some(usize::from(p.0));
+        let closed = PhoneNetwork::transcript(&words, &all).unwrap();
+        let open = closed.clone().with_open_ends(1, 1);
+        let after = |net: &PhoneNetwork, node: usize| -> Vec<Option<usize>> {
+            net.successors[node].iter().map(|(n, _)| net.words[*n]).collect()
+        };
+        assert_eq!(after(&closed, closed.entries[0].0), [Some(0)]);
+        assert_eq!(after(&open, open.entries[0].0), [Some(0), Some(1), Some(1)]);
+        let end = open.exits[0];
+        let before = |net: &PhoneNetwork| -> Vec<Option<usize>> {
+            let leads = |n: &usize| net.successors[*n].iter().any(|(next, _)| *next == end);
+            (0..net.nodes.len()).filter(leads).map(|n| net.words[n]).collect()
+        };
+        assert_eq!(before(&closed), [Some(2)]);
+        assert_eq!(before(&open), [Some(1), Some(1), Some(2)]);
+        assert_eq!(closed.clone().with_open_ends(0, 0), closed);
     }
 
     #[test]

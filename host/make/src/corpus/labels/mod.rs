@@ -7,11 +7,16 @@
 //! | `.lab` | HTK: `start end label [score [word]]`, or a plain transcript | 100 ns, samples or seconds |
 //! | `.TextGrid` | Praat, long or short text, UTF-8 or UTF-16 | seconds |
 //! | `.txt` | a plain transcript, TIMIT's `0 n text`, or a GRID `.align` under another name | none |
+use std::collections::HashMap;
 use std::path::Path;
+
+use lipstream_core::SAMPLE_RATE_HZ;
 
 use super::phoneset;
 use crate::error::{Context as _, Error, Result, bail};
+use crate::features::PhoneLabel;
 use lipstream::phones::Phone;
+use lipstream_media::files;
 
 mod columns;
 pub mod subtitles;
@@ -116,6 +121,59 @@ pub fn parse(extension: &str, text: &str, duration_s: f64) -> Result<Labels> {
     };
     fit(&mut labels, duration_s)?;
     Ok(labels)
+}
+
+/// Phones of many clips from one table: a line `clip start end phone` for each, times in samples at 16 kHz, columns parted by tabs or spaces.
+/// A first line whose times are no numbers is a heading. The phones are in the names of any of the phone sets.
+///
+/// # Errors
+///
+/// That the file cannot be read, and which line is none of these.
+pub fn read_table(path: &Path) -> Result<HashMap<String, Vec<PhoneLabel>>> {
+    let bytes = files::read_bytes(path).map_err(Error::other)?;
+    let text = decode(&bytes)?;
+    table(&text).with_context(|| format!("labels {}", path.display()))
+}
+
+fn table(text: &str) -> Result<HashMap<String, Vec<PhoneLabel>>> {
+    let mut clips: HashMap<String, Vec<PhoneLabel>> = HashMap::new();
+    for (number, line) in (1..).zip(text.lines()) {
+        let columns: Vec<&str> = line.split_whitespace().collect();
+        let row = match columns[..] {
+            [] => continue,
+            [clip, start, end, label] => start
+                .parse::<u32>()
+                .ok()
+                .zip(end.parse().ok())
+                .map(|t| (clip, t, label)),
+            _ => None,
+        };
+        let Some((clip, (start, end), label)) = row else {
+            if number == 1 {
+                continue;
+            }
+            bail!(Data, "line {number}: {line:?} is no clip, start, end and phone");
+        };
+        let Some(phone) = phoneset::phone(label) else {
+            bail!(
+                Data,
+                "line {number}: {label:?} is no phone of the TIMIT, CMU or X&L sets"
+            );
+        };
+        if end <= start {
+            bail!(Data, "line {number}: the phone ends before it begins");
+        }
+        let seconds = |samples: u32| samples as f32 / SAMPLE_RATE_HZ as f32;
+        clips.entry(clip.to_owned()).or_default().push(PhoneLabel {
+            phone: phone.name().to_owned(),
+            start: seconds(start),
+            end: seconds(end),
+        });
+    }
+    if clips.is_empty() {
+        bail!(Data, "there is no label in it");
+    }
+    Ok(clips)
 }
 
 /// Bytes of a text file to a string: UTF-8, UTF-16 with a byte order mark, or (old label files) Latin-1.
@@ -339,6 +397,27 @@ mod tests {
             let error = chain(&read(&[&path], 1.0).unwrap_err());
             assert!(error.contains(name) && error.contains(says), "{name}: {error}");
             assert!(!error.contains('\n'), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_table_has_the_phones_of_many_clips() {
+        let text = "clip\tstart\tend\tphone\na\t0\t1600\tsil\na\t1600\t3200\tAH0\nb\t0\t800\th#\n\n";
+        let clips = table(text).unwrap();
+        let told = |clip: &str| -> Vec<(String, f32, f32)> {
+            let labels = clips[clip].iter();
+            labels.map(|l| (l.phone.clone(), l.start, l.end)).collect()
+        };
+        assert_eq!(told("a"), [("sil".into(), 0.0, 0.1), ("ax".into(), 0.1, 0.2)]);
+        assert_eq!(told("b"), [("sil".into(), 0.0, 0.05)]);
+        for (text, says) in [
+            ("a 0 1 b\na 1 2", "line 2"),
+            ("a 0 1 b\na 1 2 qq", "\"qq\" is no phone"),
+            ("a 5 5 b", "ends before it begins"),
+            ("clip start end phone", "no label"),
+        ] {
+            let error = table(text).unwrap_err().to_string();
+            assert!(error.contains(says), "{text:?}: {error}");
         }
     }
 
