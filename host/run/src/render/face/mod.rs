@@ -23,3 +23,6 @@ pub use layer::{Bytes, Floats, Region, Sampled};
 pub use membrane::Membrane;
 pub use mouths::{Fit, Mouths, Whose};
 pub use scene::{FaceScene, FaceSettings, Wanted};
+
+#[cfg(test)]
+mod tests;

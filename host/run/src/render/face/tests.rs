@@ -1,0 +1,273 @@
+//! A drawn person: a wall, a plain face that sways, and on it the drawn mouth.
+use ndarray::{Array1, Array2, Axis};
+
+use super::*;
+use crate::affine::Affine;
+use crate::mouth::MouthSpace;
+use crate::render::Scene as _;
+use crate::render::drawn::{self, HEIGHT, Pose, WIDTH};
+
+const SIZE: (usize, usize) = (128, 112);
+
+/// The pose in picture `n` of the recording.
+fn pose(n: usize) -> Pose {
+    let t = n as f32;
+    Pose {
+        open: 0.5 - 0.5 * (0.5 * t).cos(),
+        round: (0.5 + 0.5 * (0.23 * t).sin()).powi(2),
+        spread: 0.3,
+    }
+}
+
+/// Where the mouth lies in picture `n`: a head that sways.
+fn place(n: usize) -> Affine {
+    let t = n as f32 * 0.2;
+    Affine::scaled(1.0, 30.0 + 3.0 * t.sin(), 34.0 + 2.0 * (0.7 * t).cos())
+}
+
+/// A picture with a mouth of so many levels less light.
+fn picture(mouth: &Array1<f32>, map: &Affine, darker: f32) -> Vec<u8> {
+    let mouth = Floats {
+        rgb: mouth.as_slice().unwrap(),
+        width: WIDTH,
+        height: HEIGHT,
+    };
+    let back = map.inverse().unwrap();
+    let mut rgb = Vec::new();
+    for y in 0..SIZE.1 {
+        for x in 0..SIZE.0 {
+            let (u, v) = back.apply(x as f32, y as f32);
+            let on_face = (u - 31.5).hypot(v - 20.0) < 46.0;
+            let levels = match on_face {
+                // The drawn mouth's skin goes on beyond its rectangle.
+                true => mouth.sample(u, v),
+                false => [60.0, 90.0, 120.0 + 0.5 * y as f32],
+            };
+            rgb.extend(levels.map(|level| (level - darker).round().clamp(0.0, 255.0) as u8));
+        }
+    }
+    rgb
+}
+
+fn recording(count: usize, darker: f32) -> Footage {
+    let mut pictures = Pictures::new(SIZE.0, SIZE.1).unwrap();
+    let mut places = Vec::new();
+    for n in 0..count {
+        let map = place(n);
+        pictures
+            .push(&picture(&drawn::draw(pose(n)), &map, darker))
+            .unwrap();
+        places.push(Place {
+            mouth: map,
+            jaw: Some(1.0 + 0.2 * pose(n).open),
+            turned: 0.0,
+            lips: Some((0.2 * pose(n).open, 0.6 - 0.1 * pose(n).round)),
+        });
+    }
+    Footage {
+        pictures,
+        rate_hz: 25.0,
+        mouth: (WIDTH, HEIGHT),
+        places,
+        jaw: Some(Jaw {
+            sides: (-8.0, 71.0),
+            top: 0.0,
+            bottom: 58.0,
+        }),
+    }
+}
+
+/// Weights of the drawn mouths that the recording has in other pictures than they are shown in.
+fn wanted(space: &MouthSpace, count: usize) -> Array2<f32> {
+    let mut tracks = Array2::zeros((count, space.size()));
+    for (n, mut row) in tracks.outer_iter_mut().enumerate() {
+        row.assign(&space.project(drawn::draw(pose(3 * n + 20)).view()));
+    }
+    // From the mean of what the recording shows, as `prepare` gives them.
+    let mut mean = Array1::<f32>::zeros(space.size());
+    for n in 0..120 {
+        mean += &(space.project(drawn::draw(pose(n)).view()) / 120.0);
+    }
+    tracks - mean
+}
+
+fn settings(whose: Option<Whose>) -> FaceSettings {
+    FaceSettings {
+        whose,
+        noise: Some(0.0),
+        jaw: None,
+        ..FaceSettings::default()
+    }
+}
+
+/// Mean difference in levels inside the mouth.
+fn off(drawn: &[u8], wanted: &[u8], map: &Affine) -> f32 {
+    let back = map.inverse().unwrap();
+    let (mut sum, mut count) = (0.0, 0.0f32);
+    for y in 0..SIZE.1 {
+        for x in 0..SIZE.0 {
+            let (u, v) = back.apply(x as f32, y as f32);
+            if (u - 31.5).abs() < 24.0 && (v - 23.5).abs() < 16.0 {
+                for c in 0..3 {
+                    let at = 3 * (y * SIZE.0 + x) + c;
+                    sum += f32::from(drawn[at].abs_diff(wanted[at]));
+                    count += 1.0;
+                }
+            }
+        }
+    }
+    sum / count
+}
+
+#[test]
+fn a_recording_says_something_else() {
+    let space = drawn::space(8);
+    let mut footage = recording(120, 0.0);
+    let tracks = wanted(&space, 30);
+    let asked = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    let mut scene = FaceScene::new(&mut footage, &space, &asked, &settings(None)).unwrap();
+    assert_eq!(scene.mouths().whose(), Whose::Trained);
+    let fit = scene.mouths().fit();
+    assert!(fit.likeness > 0.95, "{fit:?}");
+    let (x, y) = fit.to_model.apply(31.5, 23.5);
+    assert!((x - 31.5).abs() < 1.5 && (y - 23.5).abs() < 1.5, "{fit:?}");
+    let mut before = 0.0;
+    let mut after = 0.0;
+    for (n, row) in tracks.outer_iter().enumerate() {
+        let rgb = scene.draw(row).unwrap();
+        let (plain, map) = scene.undrawn(n).unwrap();
+        let truth = picture(&drawn::draw(pose(3 * n + 20)), &map, 0.0);
+        before += off(&plain, &truth, &map) / 30.0;
+        after += off(&rgb, &truth, &map) / 30.0;
+        let back = map.inverse().unwrap();
+        for at in 0..SIZE.0 * SIZE.1 {
+            let (u, v) = back.apply((at % SIZE.0) as f32, (at / SIZE.0) as f32);
+            if !scene.covers(u, v) {
+                assert_eq!(rgb[3 * at..3 * at + 3], plain[3 * at..3 * at + 3]);
+            }
+        }
+    }
+    // Another mouth than the recording's, and the one that was asked for.
+    assert!(before > 6.0 && after < 0.4 * before, "{before} {after}");
+}
+
+#[test]
+fn other_light_stays_the_recordings() {
+    let space = drawn::space(8);
+    let mut footage = recording(120, 40.0);
+    let tracks = wanted(&space, 10);
+    let asked = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    for whose in [Whose::Trained, Whose::Models] {
+        let mut scene = FaceScene::new(&mut footage, &space, &asked, &settings(Some(whose))).unwrap();
+        for (n, row) in tracks.outer_iter().enumerate() {
+            let rgb = scene.draw(row).unwrap();
+            let (_, map) = scene.undrawn(n).unwrap();
+            let truth = picture(&drawn::draw(pose(3 * n + 20)), &map, 40.0);
+            let off = off(&rgb, &truth, &map);
+            assert!(off < 6.0, "{whose:?} {n}: {off}");
+        }
+    }
+}
+
+/// A stranger's own mouths open as far as the model's.
+#[test]
+fn mouths_of_a_stranger_are_chosen_by_their_opening() {
+    let space = drawn::space(8);
+    let mut footage = recording(120, 0.0);
+    let tracks = wanted(&space, 60);
+    let asked = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    let mut scene = FaceScene::new(&mut footage, &space, &asked, &settings(Some(Whose::Opened))).unwrap();
+    let (mut dark, mut open) = (Vec::new(), Vec::new());
+    for (n, row) in tracks.outer_iter().enumerate() {
+        let rgb = scene.draw(row).unwrap();
+        let (_, map) = scene.undrawn(n).unwrap();
+        let (x, y) = map.apply(31.5, 24.0);
+        let from = Bytes {
+            rgb: &rgb,
+            width: SIZE.0,
+            height: SIZE.1,
+        };
+        let column: f32 = (-6..=6i8).map(|dy| from.sample(x, y + f32::from(dy))[1]).sum();
+        dark.push(-column);
+        open.push(pose(3 * n + 20).open);
+    }
+    let mean = |v: &[f32]| v.iter().sum::<f32>() / v.len() as f32;
+    let (md, mo) = (mean(&dark), mean(&open));
+    let sum = |f: &dyn Fn(f32, f32) -> f32| {
+        dark.iter()
+            .zip(&open)
+            .map(|(a, b)| f(a - md, b - mo))
+            .sum::<f32>()
+    };
+    let correlation = sum(&|a, b| a * b) / (sum(&|a, _| a * a) * sum(&|_, b| b * b)).sqrt();
+    assert!(correlation > 0.8, "{correlation}");
+}
+
+/// The lower face that is lent hangs as far as the mouth asks; the louder, the further, where the sound says it.
+#[test]
+fn jaws_follow_the_mouth_or_the_sound() {
+    let space = drawn::space(8);
+    let mut footage = recording(120, 0.0);
+    let tracks = wanted(&space, 40);
+    let opens: Vec<f32> = (0..40).map(|n| pose(3 * n + 20).open).collect();
+    let turned = vec![0.0; 40];
+    let mouths = Mouths::learn(&mut footage, &space, Some(Whose::Trained), 500).unwrap();
+    let (keys, pictures) = mouths.seen();
+    let jaws = jaw::Jaws::learn(&mut footage, keys, pictures).unwrap().unwrap();
+    for by in [JawBy::Mouth, JawBy::Energy] {
+        let asked = jaw::Asked {
+            tracks: tracks.view(),
+            energy: Some(&opens),
+            turned: &turned,
+            by,
+        };
+        let lent = jaws.choose(&asked);
+        let off: f32 = lent
+            .iter()
+            .zip(&opens)
+            .map(|(picture, open)| (pose(*picture).open - open).abs())
+            .sum::<f32>()
+            / 40.0;
+        assert!(off < 0.25, "{by:?}: {off}");
+    }
+}
+
+#[test]
+fn impossible_settings_are_refused() {
+    let space = drawn::space(8);
+    let mut footage = recording(30, 0.0);
+    let tracks = wanted(&space, 5);
+    let asked = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    for wrong in [
+        FaceSettings {
+            fps: 0,
+            ..FaceSettings::default()
+        },
+        FaceSettings {
+            noise: Some(-1.0),
+            ..FaceSettings::default()
+        },
+    ] {
+        assert!(FaceScene::new(&mut footage, &space, &asked, &wrong).is_err());
+    }
+    let mut empty = recording(0, 0.0);
+    assert!(FaceScene::new(&mut empty, &space, &asked, &FaceSettings::default()).is_err());
+    // Without a jaw that is seen, the recording's lower face stays.
+    footage.jaw = None;
+    let mut scene = FaceScene::new(&mut footage, &space, &asked, &FaceSettings::default()).unwrap();
+    for row in tracks.axis_iter(Axis(0)) {
+        assert_eq!(scene.draw(row).unwrap().len(), SIZE.0 * SIZE.1 * 3);
+    }
+}
