@@ -166,3 +166,61 @@ fn bad_input_gets_one_line() {
     // A mouth alone hears nothing.
     desk.refuses(&with("s.wav"), "no usable model");
 }
+
+#[test]
+fn a_background_without_a_face_gets_one_line() {
+    let desk = Desk::new();
+    let wall = desk.path("wall.mp4");
+    let drawn = std::process::Command::new("ffmpeg")
+        .args([
+            "-v",
+            "error",
+            "-f",
+            "lavfi",
+            "-i",
+            "testsrc=size=160x120:rate=25:duration=1",
+        ])
+        .arg(&wall)
+        .status();
+    assert!(drawn.expect("ffmpeg is there").success());
+    let with = |background: &'static str, rest: &[&'static str]| {
+        let words = [
+            "p.npy",
+            "-m",
+            "mouth.safetensors",
+            "-o",
+            "o.mp4",
+            "--background",
+            background,
+        ];
+        [&words[..], rest].concat()
+    };
+    desk.refuses(&with("wall.mp4", &[]), "no face found");
+    desk.refuses(&with("none.mp4", &[]), "no such file");
+    desk.refuses(&with("wall.mp4", &["--scale", "2"]), "size of its background");
+    std::fs::write(desk.path("text.mp4"), "no video").unwrap();
+    desk.refuses(&with("text.mp4", &[]), "text.mp4");
+    desk.refuses(
+        &[
+            "s.wav",
+            "-m",
+            "mouth.safetensors",
+            "-o",
+            "o.html",
+            "--background",
+            "wall.mp4",
+        ],
+        "leave --background out",
+    );
+    // Detail comes from a folder that `prepare` made.
+    let folder = [
+        "p.npy",
+        "-m",
+        "mouth.safetensors",
+        "-o",
+        "o.mp4",
+        "--detail-from",
+        "wall.mp4",
+    ];
+    desk.refuses(&folder, "wall.mp4");
+}

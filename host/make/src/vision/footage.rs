@@ -261,6 +261,7 @@ fn places(seen: Vec<Seen>) -> Vec<Place> {
             jaw: steady(at),
             turned: seen[at].turned,
             lips: seen[at].lips,
+            sides: seen[at].points.map(|[_, _, left, right]| (left.0, right.0)),
         })
         .collect()
 }

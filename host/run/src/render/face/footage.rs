@@ -105,7 +105,23 @@ pub struct Place {
     pub turned: f32,
     /// Gap between the inner lips and distance of the lips' corners, over the distance between the eyes; None where no landmarks are seen.
     pub lips: Option<(f32, f32)>,
+    /// Left and right edge of the face at the height of the lips, in pixels of the mouth's rectangle; None where no landmarks are seen.
+    pub sides: Option<(f32, f32)>,
 }
+
+impl Place {
+    /// How much a column of the mouth's rectangle belongs to the face, 0..=1: what lies beyond its edge is hair, or the wall.
+    pub fn on_face(&self, x: f32) -> f32 {
+        let Some((left, right)) = self.sides else {
+            return 1.0;
+        };
+        let soft = EDGE * (right - left);
+        ((x - left) / soft).min((right - x) / soft).clamp(0.0, 1.0)
+    }
+}
+
+/// Landmarks of the edge tremble, and near it a cheek turns away: so much of the face's width is no longer wholly on it.
+const EDGE: f32 = 0.08;
 
 /// Where the jaw's outline runs, in pixels of the mouth's rectangle, over the whole recording.
 #[derive(Clone, Copy, Debug, PartialEq)]

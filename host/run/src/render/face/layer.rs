@@ -159,7 +159,8 @@ impl Region {
             + (at(left, top + 1) * (1.0 - u) + at(left + 1, top + 1) * u) * v
     }
 
-    /// Clones `source` (at a place of the mouth's rectangle) into `picture`, in which `map` says where the mouth's rectangle lies.
+    /// Clones `source` (at a place of the mouth's rectangle) into `picture`, in which `map` says where the mouth's rectangle lies. `share` says how much of the source is
+    /// shown in a column of the rectangle, 0..=1; where that is nothing the border says nothing of the light either.
     ///
     /// Where the map is singular nothing is drawn.
     pub fn stitch(
@@ -167,6 +168,7 @@ impl Region {
         picture: &mut [u8],
         (width, height): (usize, usize),
         map: &Affine,
+        share: impl Fn(f32) -> f32,
         source: impl Fn(f32, f32) -> [f32; 3],
     ) {
         let Some(back) = map.inverse() else { return };
@@ -179,9 +181,12 @@ impl Region {
             };
             self.membrane.lay(|x, y| {
                 let (x, y) = (x as f32 + ox, y as f32 + oy);
+                if share(x) < 0.5 {
+                    return None;
+                }
                 let (px, py) = map.apply(x, y);
                 let (there, here) = (target.sample(px, py), source(x, y));
-                std::array::from_fn(|c| there[c] - here[c])
+                Some(std::array::from_fn(|c| there[c] - here[c]))
             });
         }
         let corners = [
@@ -208,7 +213,7 @@ impl Region {
         for py in top..bottom {
             for px in left..right {
                 let (x, y) = back.apply(px as f32, py as f32);
-                let opacity = self.opacity(x, y);
+                let opacity = self.opacity(x, y) * share(x);
                 if opacity <= 0.0 {
                     continue;
                 }
@@ -267,12 +272,18 @@ mod tests {
             width,
             height,
         };
-        region.stitch(&mut drawn, (width, height), &map, |x: f32, y: f32| {
-            let (px, py) = map.apply(x, y);
-            let [r, g, b] = from.sample(px, py);
-            // Darker, and bluer to the right: differences that are harmonic.
-            [r - 30.0, g - 10.0, b + 0.5 * x]
-        });
+        region.stitch(
+            &mut drawn,
+            (width, height),
+            &map,
+            |_| 1.0,
+            |x: f32, y: f32| {
+                let (px, py) = map.apply(x, y);
+                let [r, g, b] = from.sample(px, py);
+                // Darker, and bluer to the right: differences that are harmonic.
+                [r - 30.0, g - 10.0, b + 0.5 * x]
+            },
+        );
         let furthest = drawn.iter().zip(&rgb).map(|(a, b)| a.abs_diff(*b)).max();
         assert!(furthest.unwrap() <= 2, "{furthest:?}");
     }
@@ -285,10 +296,16 @@ mod tests {
         let map = Affine::scaled(1.0, 16.0, 20.0);
         let mut drawn = rgb.clone();
         let mut region = Region::of_mouth(32, 24);
-        region.stitch(&mut drawn, (width, height), &map, |x: f32, y: f32| {
-            let hole = ((x - 15.5).powi(2) + (y - 11.5).powi(2) < 25.0).then_some(20.0);
-            [hole.unwrap_or(200.0), 30.0, 30.0]
-        });
+        region.stitch(
+            &mut drawn,
+            (width, height),
+            &map,
+            |_| 1.0,
+            |x: f32, y: f32| {
+                let hole = ((x - 15.5).powi(2) + (y - 11.5).powi(2) < 25.0).then_some(20.0);
+                [hole.unwrap_or(200.0), 30.0, 30.0]
+            },
+        );
         let at = |of: &[u8], x: usize, y: usize| of[3 * (y * width + x)];
         for y in 0..height {
             for x in 0..width {
@@ -309,6 +326,7 @@ mod tests {
             &mut same,
             (width, height),
             &Affine::scaled(0.0, 1.0, 1.0),
+            |_| 1.0,
             |_, _| [0.0; 3],
         );
         assert_eq!(same, rgb);

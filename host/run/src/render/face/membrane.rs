@@ -9,7 +9,8 @@
 pub struct Membrane {
     width: usize,
     height: usize,
-    /// Nodes inside, row by row.
+    /// Which nodes lie inside, and their numbers.
+    within: Vec<bool>,
     inside: Vec<usize>,
     /// Nodes outside that have a neighbour inside.
     border: Vec<usize>,
@@ -33,7 +34,7 @@ impl Membrane {
             }
         }
         let inside: Vec<usize> = (0..within.len()).filter(|at| within[*at]).collect();
-        let beside = |at: usize| {
+        let has_neighbour = |at: usize| {
             let (x, y) = (at % width, at / width);
             (x > 0 && within[at - 1])
                 || (x + 1 < width && within[at + 1])
@@ -41,13 +42,14 @@ impl Membrane {
                 || (y + 1 < height && within[at + width])
         };
         let border = (0..within.len())
-            .filter(|at| !within[*at] && beside(*at))
+            .filter(|at| !within[*at] && has_neighbour(*at))
             .collect();
         // The factor that is best for a square of the region's size.
         let size = (inside.len() as f32).sqrt().max(1.0);
         Self {
             width,
             height,
+            within,
             inside,
             border,
             levels: vec![[0.0; 3]; width * height],
@@ -55,14 +57,21 @@ impl Membrane {
         }
     }
 
-    /// Lays the membrane over the border's differences, `difference(x, y)` at each of its nodes, in levels. It starts from the one before, which is
-    /// near where pictures follow each other.
-    pub fn lay(&mut self, difference: impl Fn(usize, usize) -> [f32; 3]) {
+    /// Lays the membrane over the border's differences, `difference(x, y)` at each of its nodes, in levels; where there is none the border is free and follows the
+    /// membrane. It starts from the one before, which is near where pictures follow each other.
+    pub fn lay(&mut self, difference: impl Fn(usize, usize) -> Option<[f32; 3]>) {
+        let mut free = Vec::new();
         for at in &self.border {
-            self.levels[*at] = difference(at % self.width, at / self.width);
+            match difference(at % self.width, at / self.width) {
+                Some(levels) => self.levels[*at] = levels,
+                None => free.push(*at),
+            }
         }
         for _ in 0..MOST_ROUNDS {
             let mut furthest = 0.0f32;
+            for at in &free {
+                self.levels[*at] = self.beside(*at);
+            }
             for &at in &self.inside {
                 let [left, right] = [self.levels[at - 1], self.levels[at + 1]];
                 let [above, below] = [self.levels[at - self.width], self.levels[at + self.width]];
@@ -77,6 +86,24 @@ impl Membrane {
                 break;
             }
         }
+    }
+
+    /// Mean of those neighbours of a node that lie inside.
+    fn beside(&self, at: usize) -> [f32; 3] {
+        let (x, y) = (at % self.width, at / self.width);
+        let neighbours = [
+            (x > 0).then(|| at - 1),
+            (x + 1 < self.width).then(|| at + 1),
+            (y > 0).then(|| at - self.width),
+            (y + 1 < self.height).then(|| at + self.width),
+        ];
+        let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+        for neighbour in neighbours.into_iter().flatten().filter(|at| self.within[*at]) {
+            let levels = self.levels[neighbour];
+            sum = std::array::from_fn(|c| sum[c] + levels[c]);
+            count += 1.0;
+        }
+        sum.map(|sum| sum / count.max(1.0))
     }
 
     /// The membrane between nodes, bilinear.
@@ -110,7 +137,7 @@ mod tests {
             let (x, y) = (x as f32 - 30.0, y as f32 - 20.0);
             [(x * x - y * y) / 10.0, x * y / 10.0, 40.0 + x - 2.0 * y]
         };
-        membrane.lay(harmonic);
+        membrane.lay(|x, y| Some(harmonic(x, y)));
         for y in 0..48 {
             for x in 0..64 {
                 if inside(x, y) {
@@ -130,7 +157,7 @@ mod tests {
     #[test]
     fn it_stays_within_its_border() {
         let mut membrane = Membrane::new(40, 30, |x, y| x > 2 && y > 2 && x < 35 && y < 25);
-        membrane.lay(|x, _| [if x < 20 { 50.0 } else { -10.0 }, 7.0, 0.0]);
+        membrane.lay(|x, _| Some([if x < 20 { 50.0 } else { -10.0 }, 7.0, 0.0]));
         for y in 3..25 {
             for x in 3..35 {
                 let [a, b, c] = membrane.at(x as f32, y as f32);
@@ -138,7 +165,10 @@ mod tests {
             }
         }
         // From where it was, another border is reached as well.
-        membrane.lay(|_, _| [3.0; 3]);
+        membrane.lay(|_, _| Some([3.0; 3]));
         assert!(membrane.at(20.0, 15.0).iter().all(|v| (v - 3.0).abs() < 0.3));
+        // A border that is free on one side is what the other sides say.
+        membrane.lay(|x, _| (x < 30).then_some([9.0; 3]));
+        assert!(membrane.at(33.0, 15.0).iter().all(|v| (v - 9.0).abs() < 0.5));
     }
 }

@@ -29,6 +29,8 @@ const OWN: f32 = 0.5;
 /// A mouth that is closed instead of wide open is as bad as a change of so many levels in every pixel; the same for one that is narrow instead of wide.
 const GAP_LEVELS: f32 = 60.0;
 const WIDTH_LEVELS: f32 = 15.0;
+/// The same for a head that is turned by half of the distance from the nose to an eye.
+const TURNED_LEVELS: f32 = 60.0;
 /// A mouth is as wide open, as wide or as narrow as it ever is in speech so many deviations from its mean, as in [`crate::opening`].
 const FAR: f32 = 2.0;
 
@@ -162,7 +164,7 @@ impl Mouths {
         Ok(mouths)
     }
 
-    /// Finds mouths by their opening: `rows` of what was seen, with their openings `[n, 2]`.
+    /// Finds mouths by their opening: `rows` of what was seen, with their openings `[n, 3]`.
     fn open_by(
         &mut self,
         opening: OpeningReader,
@@ -185,14 +187,16 @@ impl Mouths {
     }
 
     /// What mouths are found by, of parameters `[T, D]`: themselves, or what they open.
-    pub fn keys(&self, tracks: ArrayView2<f32>) -> Array2<f32> {
+    ///
+    /// `turned` says how far the background's head is turned in each picture, `[T]`.
+    pub fn keys(&self, tracks: ArrayView2<f32>, turned: &[f32]) -> Array2<f32> {
         let Some(opening) = &self.opening else {
             return tracks.to_owned();
         };
-        let mut openings = Array2::zeros((tracks.nrows(), 2));
-        for (row, mut to) in tracks.outer_iter().zip(openings.outer_iter_mut()) {
+        let mut openings = Array2::zeros((tracks.nrows(), 3));
+        for ((row, turned), mut to) in tracks.outer_iter().zip(turned).zip(openings.outer_iter_mut()) {
             let Opening { gap, width } = opening.read(&row.to_vec());
-            to.assign(&ArrayView1::from(&[gap, width]));
+            to.assign(&ArrayView1::from(&[gap, width, *turned]));
         }
         scaled(openings, self.mean.len())
     }
@@ -247,7 +251,7 @@ impl Mouths {
     }
 }
 
-/// Rows of those pictures in which lips are seen, and their openings `[n, 2]` as [`Opening`] counts them; None where that is less than half of them.
+/// Rows of those pictures in which lips are seen, and their openings `[n, 3]` as [`Opening`] counts them, with how far the head is turned; None where that is less than half of them.
 fn openings(footage: &Footage, pictures: &[usize]) -> Option<(Vec<usize>, Array2<f32>)> {
     let seen: Vec<(usize, (f32, f32))> = pictures
         .iter()
@@ -273,24 +277,22 @@ fn openings(footage: &Footage, pictures: &[usize]) -> Option<(Vec<usize>, Array2
     // Lips that meet have a gap of nothing, but for what landmarks tremble.
     let closed = gaps[gaps.len() / 20];
     let open = (gap.0 + FAR * gap.1 - closed).max(1e-4);
-    let openings = Array2::from_shape_fn((seen.len(), 2), |(row, k)| {
-        let (of_gap, of_width) = seen[row].1;
+    let openings = Array2::from_shape_fn((seen.len(), 3), |(row, k)| {
+        let (picture, (of_gap, of_width)) = seen[row];
         match k {
             0 => ((of_gap - closed) / open).clamp(0.0, 1.0),
-            _ => ((of_width - width.0) / (FAR * width.1).max(1e-4)).clamp(-1.0, 1.0),
+            1 => ((of_width - width.0) / (FAR * width.1).max(1e-4)).clamp(-1.0, 1.0),
+            _ => footage.places[pictures[picture]].turned,
         }
     });
     Some((seen.into_iter().map(|(row, _)| row).collect(), openings))
 }
 
-/// Openings `[n, 2]` as numbers whose squares are in the unit of squared differences of so many levels.
-fn scaled(mut openings: Array2<f32>, levels: usize) -> Array2<f32> {
-    let root = (levels as f32).sqrt();
-    openings.column_mut(0).mapv_inplace(|gap| gap * GAP_LEVELS * root);
-    openings
-        .column_mut(1)
-        .mapv_inplace(|width| width * WIDTH_LEVELS * root);
-    openings
+/// Openings `[n, 3]` as numbers whose squares are in the unit of squared differences of so many levels.
+fn scaled(openings: Array2<f32>, levels: usize) -> Array2<f32> {
+    let weights =
+        [GAP_LEVELS, WIDTH_LEVELS, 2.0 * TURNED_LEVELS].map(|weight| weight * (levels as f32).sqrt());
+    openings * &ArrayView1::from(&weights)
 }
 
 /// Draws in the recording's rectangle what is of the model's.

@@ -100,16 +100,16 @@ impl<'a> FaceScene<'a> {
             Whose::Opened => Some(settings.detail.unwrap_or_default()),
             Whose::Models => None,
         };
-        let keys = mouths.keys(wanted.tracks);
+        let moment = |n: usize| course.at(middle(n, settings.fps));
+        let turned: Vec<f32> = (0..wanted.tracks.nrows())
+            .map(|n| footage.places[moment(n).picture].turned)
+            .collect();
+        let keys = mouths.keys(wanted.tracks, &turned);
         let details = choice.map(|choice| mouths.candidates().choose(keys.view(), choice));
         let jaws = match settings.jaw {
             Some(_) => Jaws::learn(footage, mouths.seen().0, mouths.seen().1)?,
             None => None,
         };
-        let moment = |n: usize| course.at(middle(n, settings.fps));
-        let turned: Vec<f32> = (0..wanted.tracks.nrows())
-            .map(|n| footage.places[moment(n).picture].turned)
-            .collect();
         let lower = match (&jaws, settings.jaw) {
             (Some(jaws), Some(by)) => jaws.choose(&Asked {
                 tracks: keys.view(),
@@ -283,18 +283,21 @@ impl Scene for FaceScene<'_> {
 
     fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>> {
         let size = self.size();
-        let (mut rgb, map) = self.background(self.course.at(middle(self.drawn, self.fps)))?;
+        let moment = self.course.at(middle(self.drawn, self.fps));
+        let (mut rgb, map) = self.background(moment)?;
+        let here = self.footage.places[moment.picture].clone();
         if let (Some(jaws), Some(picture)) = (&mut self.jaws, self.lower.get(self.drawn)) {
             let mut lender = Vec::new();
             self.footage.pictures.read(*picture, &mut lender)?;
-            let there = self.footage.places[*picture].mouth;
+            let there = &self.footage.places[*picture];
+            let share = |x: f32| here.on_face(x).min(there.on_face(x));
             let from = Bytes {
                 rgb: &lender,
                 width: size.0,
                 height: size.1,
             };
-            jaws.region.stitch(&mut rgb, size, &map, |x, y| {
-                let (px, py) = there.apply(x, y);
+            jaws.region.stitch(&mut rgb, size, &map, share, |x, y| {
+                let (px, py) = there.mouth.apply(x, y);
                 from.sample_cubic(px, py)
             });
         }
@@ -306,8 +309,10 @@ impl Scene for FaceScene<'_> {
             height: self.footage.mouth.1 * sharp,
         };
         let fine = |at: f32| (at + 0.5) * sharp as f32 - 0.5;
-        self.region
-            .stitch(&mut rgb, size, &map, |x, y| mouth.sample_cubic(fine(x), fine(y)));
+        let share = |x: f32| here.on_face(x);
+        self.region.stitch(&mut rgb, size, &map, share, |x, y| {
+            mouth.sample_cubic(fine(x), fine(y))
+        });
         self.drawn += 1;
         Ok(rgb)
     }

@@ -1,0 +1,98 @@
+//! A face drawn onto another recording of the same person, against how he himself said the sentence. Needs LIPSTREAM_RESEARCH and `ffmpeg`.
+use std::path::PathBuf;
+
+use lipstream::engine::{Engine, RunSettings};
+use lipstream::mouth::MouthSpace;
+use lipstream::render::face::{FaceScene, FaceSettings, Wanted, Whose};
+use lipstream::render::{self, Scene as _, Tracks};
+use lipstream::shipped;
+use lipstream::tensors::Tensors;
+use lipstream_make::vision::{self, LandmarkFinder};
+use lipstream_media::sound;
+use lipstream_media::video::{self, Frames};
+
+fn first_videos(folder: &str, count: usize) -> Vec<PathBuf> {
+    let shared =
+        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
+    let folder = PathBuf::from(shared).join("data").join(folder);
+    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| {
+            path.extension()
+                .is_some_and(|ending| ending == "mpg" || ending == "mp4")
+        })
+        .collect();
+    all.sort();
+    all.truncate(count);
+    all
+}
+
+fn correlation(pairs: &[(f32, f32)]) -> f32 {
+    let n = pairs.len() as f32;
+    let (ma, mb) = (
+        pairs.iter().map(|p| p.0).sum::<f32>() / n,
+        pairs.iter().map(|p| p.1).sum::<f32>() / n,
+    );
+    let sum = |of: fn(f32, f32) -> f32| pairs.iter().map(|p| of(p.0 - ma, p.1 - mb)).sum::<f32>();
+    sum(|a, b| a * b) / (sum(|a, _| a * a) * sum(|_, b| b * b)).sqrt()
+}
+
+/// The shipped model's own speaker, and a stranger's recording: both say a sentence that neither said there, with their lips apart when he had his apart.
+#[test]
+#[ignore = "needs the research data: tests/run --research"]
+fn a_face_says_what_it_never_said() {
+    let sentence = &first_videos("grid-s1/val", 3)[2];
+    let own = &first_videos("grid-s1/val", 1)[0];
+    let stranger = &first_videos("grid-others", 1)[0];
+    let space = MouthSpace::load(&Tensors::parse(shipped::MODEL, "the shipped model").unwrap()).unwrap();
+    let samples = sound::decode(&video::decode_sound(sentence).unwrap())
+        .unwrap()
+        .samples;
+    let said = Engine::shipped()
+        .convert(&samples, &RunSettings::default())
+        .unwrap()
+        .parameters;
+    let mut tracks = Tracks::new(space.size());
+    let nothing = |_: &[u8]| Ok::<(), lipstream::Error>(());
+    render::play(&mut tracks, said.view(), 25, Some(samples.len()), nothing, &()).unwrap();
+    let tracks = tracks.into_rows();
+    let finder = LandmarkFinder::new().unwrap();
+    let truth = finder.in_clip(&video::decode(sentence).unwrap()).unwrap();
+    for (background, whose) in [(own, Whose::Trained), (stranger, Whose::Opened)] {
+        let mut footage = vision::footage(background, 60.0, &()).unwrap();
+        let wanted = Wanted {
+            tracks: tracks.view(),
+            energy: None,
+        };
+        let mut scene = FaceScene::new(&mut footage, &space, &wanted, &FaceSettings::default()).unwrap();
+        assert_eq!(
+            scene.mouths().whose(),
+            whose,
+            "{background:?}: {}",
+            scene.mouths().explained()
+        );
+        let mut rgb = Vec::new();
+        for row in tracks.outer_iter() {
+            rgb.extend(scene.draw(row).unwrap());
+        }
+        let (width, height) = scene.size();
+        let drawn = Frames {
+            width,
+            height,
+            rate_hz: 25.0,
+            rgb,
+        };
+        let pairs: Vec<(f32, f32)> = finder
+            .in_clip(&drawn)
+            .unwrap()
+            .iter()
+            .zip(&truth)
+            .filter_map(|(a, b)| Some((a.as_ref()?.opening().0, b.as_ref()?.opening().0)))
+            .collect();
+        assert!(pairs.len() > 70, "a face is seen in {} pictures", pairs.len());
+        let follows = correlation(&pairs);
+        println!("{background:?}: gap of drawn and recorded lips correlate by {follows:.3}");
+        assert!(follows > 0.5, "{background:?}: {follows}");
+    }
+}
