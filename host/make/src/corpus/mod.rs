@@ -2,6 +2,7 @@
 //! feature folder.
 pub mod discover;
 pub mod labels;
+mod mend;
 pub mod phoneset;
 pub mod prepare;
 pub mod prompts;
@@ -9,7 +10,7 @@ pub mod pronounce;
 mod sheet;
 mod stamp;
 pub mod summary;
-mod take;
+pub(crate) mod take;
 mod verdict;
 mod visual;
 
