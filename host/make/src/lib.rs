@@ -24,6 +24,7 @@
 #![warn(missing_docs)]
 
 pub mod align;
+pub mod check;
 pub mod corpus;
 pub mod details;
 pub mod em;

@@ -133,7 +133,7 @@ pub fn decode(path: &Path) -> Result<Frames> {
 
 /// [`decode`], of a part of it where one is given.
 pub fn decode_part(path: &Path, part: Option<Part>) -> Result<Frames> {
-    let rate = picture_rate(path)?;
+    let rate = picture_rate(path, probe(path)?)?;
     let (width, height, rgb) = through_ffmpeg(path, &rate, part, MAX_LINES, |out| read_pictures(out))?;
     if rgb.is_empty() {
         return Err(VideoError::Refused(format!(
@@ -161,7 +161,7 @@ pub fn each_picture<E: From<VideoError>>(
     lines: usize,
     mut each: impl FnMut(usize, usize, &[u8]) -> Result<(), E>,
 ) -> Result<f32, E> {
-    let rate = picture_rate(path)?;
+    let rate = picture_rate(path, probe(path)?)?;
     let mut said = Ok(());
     let read = through_ffmpeg(path, &rate, part, lines, |out| {
         let mut rgb = Vec::new();
@@ -329,10 +329,40 @@ struct Probe {
 struct ProbeStream {
     r_frame_rate: String,
     avg_frame_rate: String,
+    width: usize,
+    height: usize,
+    sample_aspect_ratio: Option<String>,
 }
 
-/// The picture rate as ffmpeg writes it, `25/1`.
-fn picture_rate(path: &Path) -> Result<String> {
+/// What is known of a video's pictures before any is decoded.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Facts {
+    /// Pictures a second.
+    pub rate_hz: f32,
+    /// How many of the video's own pixels, made square, lie side by side in one pixel of its decoded pictures: 1 unless they are reduced to
+    /// [`MAX_LINES`].
+    pub reduction: f32,
+}
+
+/// Asks ffprobe.
+///
+/// # Errors
+///
+/// That the file cannot be read, or has no pictures.
+pub fn facts(path: &Path) -> Result<Facts> {
+    let stream = probe(path)?;
+    let wide = stream.sample_aspect_ratio.as_deref().and_then(quotient);
+    let width = stream.width as f32 * wide.filter(|wide| *wide > 0.0).unwrap_or(1.0);
+    let reduction = (width.min(stream.height as f32) / MAX_LINES as f32).max(1.0);
+    let rate = picture_rate(path, stream)?;
+    Ok(Facts {
+        rate_hz: as_hz(&rate, path)?,
+        reduction,
+    })
+}
+
+/// What ffprobe says of the first stream of pictures.
+fn probe(path: &Path) -> Result<ProbeStream> {
     if !path.is_file() {
         return Err(VideoError::NoFile(path.to_owned()));
     }
@@ -346,7 +376,7 @@ fn picture_rate(path: &Path) -> Result<String> {
             "json",
             "-show_entries",
         ])
-        .arg("stream=r_frame_rate,avg_frame_rate")
+        .arg("stream=r_frame_rate,avg_frame_rate,width,height,sample_aspect_ratio")
         .arg(as_input(path))
         .output()
         .map_err(|e| not_started("ffprobe", e))?;
@@ -361,12 +391,12 @@ fn picture_rate(path: &Path) -> Result<String> {
         "{}: ffprobe's answer is not understood",
         path.display()
     )))?;
-    let Some(stream) = probe.streams.into_iter().next() else {
-        return Err(VideoError::Unsuitable(format!(
-            "{}: there is no video in it",
-            path.display()
-        )));
-    };
+    let stream = probe.streams.into_iter().next();
+    stream.ok_or_else(|| VideoError::Unsuitable(format!("{}: there is no video in it", path.display())))
+}
+
+/// The picture rate as ffmpeg writes it, `25/1`.
+fn picture_rate(path: &Path, stream: ProbeStream) -> Result<String> {
     // The nominal rate, unless it is only the clock of a video of varying rate.
     match (ratio(&stream.r_frame_rate), ratio(&stream.avg_frame_rate)) {
         (Some(nominal), Some(average)) if nominal > 1.05 * average => Ok(stream.avg_frame_rate),
@@ -379,11 +409,27 @@ fn picture_rate(path: &Path) -> Result<String> {
     }
 }
 
+/// The picture rate as a number.
+fn as_hz(rate: &str, path: &Path) -> Result<f32> {
+    ratio(rate).ok_or_else(|| {
+        VideoError::Answer(format!(
+            "{}: ffprobe calls its picture rate {rate:?}",
+            path.display()
+        ))
+    })
+}
+
 /// `25/1` as 25; nothing for 0/0, negative or absurd rates.
 fn ratio(text: &str) -> Option<f32> {
-    let (up, down) = text.split_once('/')?;
-    let rate = up.parse::<f32>().ok()? / down.parse::<f32>().ok()?;
+    let rate = quotient(text)?;
     (1.0..=1000.0).contains(&rate).then_some(rate)
+}
+
+/// `12/11` or `12:11` as a number; nothing where it is none.
+fn quotient(text: &str) -> Option<f32> {
+    let (up, down) = text.split_once(['/', ':'])?;
+    let quotient = up.parse::<f32>().ok()? / down.parse::<f32>().ok()?;
+    quotient.is_finite().then_some(quotient)
 }
 
 /// Width, height and all pictures of a stream of binary PPM pictures of one size.

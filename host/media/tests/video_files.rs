@@ -113,11 +113,11 @@ fn phones_films_stand_upright_and_keep_their_detail() {
         assert!(is_red(left) && is_blue(right) || is_blue(left) && is_red(right));
     }
     // The shorter side is what is limited: a standing picture is not made three times smaller than a lying one.
-    for (size, want) in [
-        ("1080x1920", (576, 1024)),
-        ("1920x1080", (1024, 576)),
-        ("576x1024", (576, 1024)),
-        ("360x288", (360, 288)),
+    for (size, want, reduction) in [
+        ("1080x1920", (576, 1024), 1.875),
+        ("1920x1080", (1024, 576), 1.875),
+        ("576x1024", (576, 1024), 1.0),
+        ("360x288", (360, 288), 1.0),
     ] {
         let path = made(
             folder.path(),
@@ -129,6 +129,8 @@ fn phones_films_stand_upright_and_keep_their_detail() {
         let frames = video::decode(&path).unwrap();
         assert_eq!((frames.width, frames.height), want, "{size}");
         assert!(frames.width.min(frames.height) <= MAX_LINES);
+        let facts = video::facts(&path).unwrap();
+        assert_eq!((facts.rate_hz, facts.reduction), (30.0, reduction), "{size}");
     }
 }
 

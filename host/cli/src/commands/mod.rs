@@ -6,6 +6,7 @@ use clap::{Parser, Subcommand};
 
 mod advice;
 mod align;
+mod check;
 mod choices;
 mod convert;
 mod cues;
@@ -35,6 +36,7 @@ struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     Align(align::Args),
+    Check(check::Args),
     Convert(convert::Args),
     Cues(cues::Args),
     Demo(demo::Args),
@@ -53,6 +55,7 @@ enum Command {
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
     let done = match Cli::parse_from(args).command {
         Command::Align(args) => align::run(args),
+        Command::Check(args) => check::run(args),
         Command::Convert(args) => convert::run(args),
         Command::Cues(args) => cues::run(args),
         Command::Demo(args) => demo::run(args),

@@ -57,12 +57,27 @@ pub(crate) struct Args {
     /// Write a film of every clip with the mouth's rectangle and the lips drawn on it, DIR/overlay/CLIP.mp4
     #[arg(long, conflicts_with = "audio_only")]
     overlay: bool,
+    /// Milliseconds by which the sound is late against the pictures (negative: early); 0 leaves it where it is [default: what
+    /// `lipstream check` finds for each speaker, mended where that is sure and 30 ms or more]
+    #[arg(long, value_name = "MS", allow_negative_numbers = true, value_parser = offset)]
+    sync_offset: Option<f32>,
     /// Use nothing of an earlier run in the same folder
     #[arg(long)]
     fresh: bool,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// An offset that is no slip of the hand.
+fn offset(text: &str) -> Result<f32, String> {
+    let ms: f32 = text
+        .parse()
+        .map_err(|_| "not a number of milliseconds".to_owned())?;
+    match ms.abs() <= 5000.0 {
+        true => Ok(ms),
+        false => Err("more than five seconds".to_owned()),
+    }
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -85,6 +100,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         eigenmouths: args.eigenmouths.into(),
         keep_clip_mean: args.keep_clip_mean,
         overlay: args.overlay,
+        sync_offset_ms: args.sync_offset,
         fresh: args.fresh,
     };
     let summary = corpus::prepare(&settings, &Terminal::default())?;

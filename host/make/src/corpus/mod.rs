@@ -3,6 +3,7 @@
 pub mod discover;
 mod heard;
 pub mod labels;
+mod mend;
 mod overlay;
 pub mod phoneset;
 pub mod prepare;
@@ -12,7 +13,7 @@ mod sheet;
 mod spread;
 mod stamp;
 pub mod summary;
-mod take;
+pub(crate) mod take;
 mod verdict;
 mod visual;
 

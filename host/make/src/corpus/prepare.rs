@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::discover::{self, ClipFiles, Found};
 use super::heard::{Heard, Hearing, Listener};
 use super::labels::{self, Labels, SpokenWord, transcript};
+use super::mend;
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
 use super::summary::{self, Summary};
@@ -53,6 +54,9 @@ pub struct PrepareSettings {
     pub keep_clip_mean: bool,
     /// Writes a film of every clip with what was found drawn on it: the mouth's rectangle, the lips.
     pub overlay: bool,
+    /// Milliseconds by which the sound of all videos is late against their pictures (negative: early); None finds it out for each
+    /// speaker and mends it where it is sure, 0 leaves sound where it is.
+    pub sync_offset_ms: Option<f32>,
     /// Nothing of an earlier run is used.
     pub fresh: bool,
 }
@@ -69,6 +73,7 @@ impl Default for PrepareSettings {
             eigenmouths: 30,
             keep_clip_mean: false,
             overlay: false,
+            sync_offset_ms: None,
             fresh: false,
         }
     }
@@ -131,7 +136,11 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
     let found = if is_take {
         // Before the pieces' sound is written to it.
         claim(&settings.out, settings.fresh)?;
-        take::cut(settings, &labelling, progress)?
+        let late_ms = match take::is_sound(&settings.corpus) {
+            true => 0.0,
+            false => mend::of_take(&settings.corpus, settings, progress)?,
+        };
+        take::cut(settings, late_ms, &labelling, progress)?
     } else {
         discover::discover(&settings.corpus, Some(&settings.out), &settings.clips)?
     };
@@ -140,12 +149,14 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
     if found.clips.iter().any(decodes) {
         video::available().map_err(Error::other)?;
     }
+    let mut late = BTreeMap::new();
     if !is_take {
         claim(&settings.out, settings.fresh)?;
+        late = mend::of_speakers(&found.clips, settings, progress)?;
     }
 
     let mut skipped = Vec::new();
-    let (mut clips, start_mean) = listen(&found, settings, &labelling, progress, &mut skipped)?;
+    let (mut clips, start_mean) = listen(&found, &late, settings, &labelling, progress, &mut skipped)?;
     observe(&clips, &settings.out, start_mean, progress)?;
     let visual_size = if settings.audio_only {
         0
@@ -209,6 +220,7 @@ pub(super) fn reason(error: &Error) -> String {
 /// First pass: sound to `wav/`, labels, words; the mean of the statics over the training clips' speech.
 fn listen(
     found: &Found,
+    late: &BTreeMap<String, f32>,
     settings: &PrepareSettings,
     labelling: &Labelling,
     progress: &dyn Progress,
@@ -224,7 +236,11 @@ fn listen(
         let read: Vec<_> = some
             .par_iter()
             .map(|source| {
-                let result = listen_to(source, &settings.out, labelling);
+                let late_ms = late
+                    .get(&source.speaker)
+                    .copied()
+                    .filter(|_| source.video.is_some());
+                let result = listen_to(source, late_ms.unwrap_or(0.0), &settings.out, labelling);
                 let path = source.sound_path().display();
                 match &result {
                     Err(error) => progress.say(&format!("skipped {path}: {}", reason(error))),
@@ -276,16 +292,18 @@ fn listen(
 
 fn listen_to(
     source: &ClipFiles,
+    late_ms: f32,
     out: &Path,
     labelling: &Labelling,
 ) -> Result<(Prepared, ndarray::Array2<f64>)> {
-    let sound_stamp = stamp::of_file(source.sound_path())?;
-    let samples = sound(source, out, &sound_stamp)?;
+    let sound_stamp = stamp::of_file(source.sound_path())? + &mend::stamp_of(late_ms);
+    let samples = sound(source, late_ms, out, &sound_stamp)?;
     let seconds = samples.len() as f64 / f64::from(lipstream_core::SAMPLE_RATE_HZ);
     if seconds < SHORTEST_S {
         bail!(Data, "{seconds:.3} s of sound are too short");
     }
     let mut labels = labels::read(&source.labels, seconds)?;
+    labels.move_by(-f64::from(late_ms) * 1e-3, seconds);
     let named_sentence = labels == Labels::default() && source.labels.is_empty();
     let named = named_sentence
         .then(|| transcript::of_grid_name(&source.stem))
@@ -350,7 +368,7 @@ fn spoken(
 }
 
 /// The clip's sound, 16 kHz mono, from `wav/` if an earlier run has put it there, else decoded and put there.
-fn sound(source: &ClipFiles, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
+fn sound(source: &ClipFiles, late_ms: f32, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> {
     let path = out.join("wav").join(format!("{}.wav", source.id));
     let notes = Notes::new(out, &source.id);
     if notes.vouched("sound", sound_stamp, &path).is_some() {
@@ -358,13 +376,14 @@ fn sound(source: &ClipFiles, out: &Path, sound_stamp: &str) -> Result<Vec<i16>> 
     }
     notes.forget("sound");
     let from = source.sound_path();
-    let samples = if is_read_here(from) {
+    let mut samples = if is_read_here(from) {
         sound::read(from).map_err(Error::other)?.samples
     } else {
         sound::decode(&video::decode_sound(from).map_err(Error::other)?)
             .map_err(Error::other)?
             .samples
     };
+    mend::moved(&mut samples, late_ms);
     sound::write(&path, &samples).map_err(Error::other)?;
     notes.note("sound", sound_stamp)?;
     Ok(samples)

@@ -56,6 +56,11 @@ impl Notes {
         Some(rest.trim_end().to_owned())
     }
 
+    /// What was noted of what has no file of its own.
+    pub(super) fn noted(&self, kind: &str, stamp: &str) -> Option<String> {
+        self.vouched(kind, stamp, &self.path(kind))
+    }
+
     /// Takes the note back, before its product changes.
     pub(super) fn forget(&self, kind: &str) {
         // A note that is not there is what is wanted; one that cannot be removed is overwritten later.

@@ -10,6 +10,7 @@ use lipstream_media::{files, sound};
 use super::discover::{ClipFiles, Found, SOUND, deal, safe};
 use super::labels::subtitles::{self, Subtitle};
 use super::labels::{self, transcript};
+use super::mend;
 use super::prepare::{Labelling, PrepareSettings};
 use super::spread;
 use crate::error::{Context as _, Error, Result, bail};
@@ -20,7 +21,7 @@ use lipstream::progress::Progress;
 const SHORTEST_S: f64 = 2.0;
 const LONGEST_S: f64 = 8.0;
 /// A pause is so long, in hops of 10 ms.
-const PAUSE: usize = 15;
+pub(crate) const PAUSE: usize = 15;
 /// Where speech begins, between the quietest and the loudest tenth (the decibels of their borders).
 const SPEECH: f32 = 0.4;
 /// Quiet and loud must differ by so many decibels, or nothing in it is a pause.
@@ -34,10 +35,16 @@ const MARGIN_S: f64 = 0.2;
 
 /// A piece in hops: from, to, and whether there is speech in it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Piece {
-    from: usize,
-    to: usize,
-    speech: bool,
+pub(crate) struct Piece {
+    pub(crate) from: usize,
+    pub(crate) to: usize,
+    pub(crate) speech: bool,
+}
+
+/// Whether a file is sound without pictures, by its name.
+pub(super) fn is_sound(take: &Path) -> bool {
+    let ending = take.extension().unwrap_or_default().to_ascii_lowercase();
+    ending.to_str().is_some_and(|ending| SOUND.contains(&ending))
 }
 
 impl Piece {
@@ -52,19 +59,17 @@ impl Piece {
 /// # Errors
 ///
 /// That it has no sound or no speech, and what the disk says.
+///
+/// `late_ms` is by how much its sound is late against its pictures (mend.rs).
 pub(super) fn cut(
     settings: &PrepareSettings,
+    late_ms: f32,
     labelling: &Labelling,
     progress: &dyn Progress,
 ) -> Result<Found> {
     let take = settings.corpus.as_path();
-    let ending = take
-        .extension()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_lowercase();
-    let sound_only = SOUND.contains(&ending.as_str());
-    let samples = match sound_only && sound::knows(take) {
+    let sound_only = is_sound(take);
+    let mut samples = match sound_only && sound::knows(take) {
         true => sound::read(take).map_err(Error::other)?.samples,
         false => {
             video::available().map_err(Error::other)?;
@@ -72,7 +77,12 @@ pub(super) fn cut(
             sound::decode(&bytes).map_err(Error::other)?.samples
         }
     };
-    let said = subtitles(take)?;
+    mend::moved(&mut samples, late_ms);
+    let mut said = subtitles(take)?;
+    for subtitle in said.iter_mut().flat_map(|(_, said)| said) {
+        let moved = |seconds: f64| (seconds - f64::from(late_ms) * 1e-3).max(0.0);
+        subtitle.time = (moved(subtitle.time.0), moved(subtitle.time.1));
+    }
     let (pieces, texts) = match &said {
         None => (pieces(&samples), Vec::new()),
         Some((_, said)) => pieces_of(said, samples.len() / HOP_SAMPLES).into_iter().unzip(),
@@ -179,7 +189,7 @@ fn texts_of(
 }
 
 /// The subtitles beside a take, and which file they are in; those without words are left out.
-fn subtitles(take: &Path) -> Result<Option<(PathBuf, Vec<Subtitle>)>> {
+pub(crate) fn subtitles(take: &Path) -> Result<Option<(PathBuf, Vec<Subtitle>)>> {
     let beside = ["srt", "vtt"].map(|ending| take.with_extension(ending));
     let Some(path) = beside.into_iter().find(|path| path.is_file()) else {
         return Ok(None);
@@ -239,7 +249,7 @@ fn write_if_other(path: &Path, samples: &[i16]) -> Result<()> {
 }
 
 /// Decibels of every whole hop.
-fn levels(samples: &[i16]) -> Vec<f32> {
+pub(crate) fn levels(samples: &[i16]) -> Vec<f32> {
     let power = |hop: &[i16]| hop.iter().map(|s| f32::from(*s).powi(2)).sum::<f32>() / hop.len() as f32;
     samples
         .chunks_exact(HOP_SAMPLES)
@@ -248,7 +258,7 @@ fn levels(samples: &[i16]) -> Vec<f32> {
 }
 
 /// Which hops have speech in them: those louder than part of the way from quiet to loud.
-fn speech(levels: &[f32]) -> Vec<bool> {
+pub(crate) fn speech(levels: &[f32]) -> Vec<bool> {
     let mut sorted = levels.to_vec();
     sorted.sort_by(f32::total_cmp);
     let at = |tenth: usize| sorted.get(sorted.len() * tenth / 10).copied().unwrap_or(0.0);
@@ -262,7 +272,7 @@ fn speech(levels: &[f32]) -> Vec<bool> {
 }
 
 /// Pieces that cover the sound, cut in the middle of the longest pause that comes in time; where none does, at the quietest hop.
-fn pieces(samples: &[i16]) -> Vec<Piece> {
+pub(crate) fn pieces(samples: &[i16]) -> Vec<Piece> {
     let levels = levels(samples);
     let speech = speech(&levels);
     let hops = |seconds: f64| (seconds * f64::from(SAMPLE_RATE_HZ) / HOP_SAMPLES as f64) as usize;

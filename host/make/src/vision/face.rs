@@ -37,21 +37,29 @@ impl Detector {
 
     /// The largest face of one picture.
     pub(crate) fn find(&mut self, frames: &Frames, index: usize) -> Option<FaceBox> {
+        self.find_all(frames, index).into_iter().next()
+    }
+
+    /// All faces of one picture, the largest first.
+    pub(crate) fn find_all(&mut self, frames: &Frames, index: usize) -> Vec<FaceBox> {
         let factor = frames.width.max(frames.height).div_ceil(SEARCH_SIDE);
         let (width, height) = (frames.width / factor, frames.height / factor);
         if width < 2 * LEAST_SIDE || height < 2 * LEAST_SIDE {
-            return None;
+            return Vec::new();
         }
         let grey = reduced_grey(frames.frame(index), frames.width, width, height, factor);
         let image = rustface::ImageData::new(&grey, width as u32, height as u32);
-        let faces = self.inner.detect(&image);
-        let largest = faces.iter().max_by_key(|f| f.bbox().width())?;
+        let mut faces = self.inner.detect(&image);
+        // Of faces of one size the one that was found last comes first.
+        faces.reverse();
+        faces.sort_by_key(|face| std::cmp::Reverse(face.bbox().width()));
         let scale = factor as f32;
-        Some(FaceBox {
-            left: largest.bbox().x() as f32 * scale,
-            top: largest.bbox().y() as f32 * scale,
-            side: largest.bbox().width() as f32 * scale,
-        })
+        let in_picture = |face: &rustface::FaceInfo| FaceBox {
+            left: face.bbox().x() as f32 * scale,
+            top: face.bbox().y() as f32 * scale,
+            side: face.bbox().width() as f32 * scale,
+        };
+        faces.iter().map(in_picture).collect()
     }
 
     /// The face of a clip: the median box over up to nine of its pictures.

@@ -8,10 +8,13 @@ mod landmarks;
 mod network;
 mod reference;
 mod register;
+pub(crate) mod shift;
 mod tracker;
 
 pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths};
+pub(crate) use face::Detector;
 pub use footage::{LONGEST_S, footage};
+pub(crate) use landmarks::Walk;
 pub use landmarks::{LandmarkFinder, Landmarks, Outline};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};

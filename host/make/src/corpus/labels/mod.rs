@@ -63,6 +63,23 @@ pub struct Labels {
     pub phones: Vec<(f64, f64, Phone)>,
 }
 
+impl Labels {
+    /// Moves all times by so many seconds, within a sound that lasts `duration_s`; phones of which nothing is left go.
+    pub(super) fn move_by(&mut self, seconds: f64, duration_s: f64) {
+        let moved = |time: f64| (time + seconds).clamp(0.0, duration_s);
+        if seconds == 0.0 {
+            return;
+        }
+        for (from, to) in self.words.iter_mut().filter_map(|word| word.time.as_mut()) {
+            (*from, *to) = (moved(*from), moved(*to));
+        }
+        for (from, to, _) in &mut self.phones {
+            (*from, *to) = (moved(*from), moved(*to));
+        }
+        self.phones.retain(|(from, to, _)| to > from);
+    }
+}
+
 /// Reads the label files of one clip whose sound lasts `duration_s`.
 ///
 /// Words come from the first file in the order of [`EXTENSIONS`] that has any, so do phones.
