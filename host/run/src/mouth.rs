@@ -19,6 +19,9 @@ pub struct MouthSpace {
     pub deviation: Array1<f32>,
 }
 
+/// Numbers of an image that are expanded at a time.
+const BLOCK: usize = 512;
+
 impl MouthSpace {
     /// Weights g = Ãᵀ(I − Ī) of one image (eq. 13).
     pub fn project(&self, image: ArrayView1<f32>) -> Array1<f32> {
@@ -57,6 +60,35 @@ impl MouthSpace {
     /// Image Ī + Ã g (eq. 12), not clipped to 0..255.
     pub fn expand(&self, weights: ArrayView1<f32>) -> Array1<f32> {
         &self.mean + &self.basis.t().dot(&weights)
+    }
+
+    /// [`MouthSpace::expand`] into numbers that are there already, for those who draw many pictures: faster, and not in the same order, so
+    /// that the last bits differ. What is measured or exported is computed by `expand`.
+    pub fn expand_into(&self, weights: ArrayView1<f32>, image: &mut [f32]) {
+        let (Some(mean), Some(basis)) = (self.mean.as_slice(), self.basis.as_slice()) else {
+            // Rows that do not lie one after the other.
+            return image.copy_from_slice(&self.expand(weights).to_vec());
+        };
+        let weights = weights.to_vec();
+        let (fours, rest) = weights.as_chunks::<4>();
+        // Pixels by the hundred, which stay in the fastest memory while the eigenmouths pass.
+        for (start, image) in (0..).step_by(BLOCK).zip(image.chunks_mut(BLOCK)) {
+            let length = image.len();
+            let of = |row: usize| &basis[row * mean.len() + start..][..length];
+            image.copy_from_slice(&mean[start..start + length]);
+            for (k, [a, b, c, d]) in fours.iter().enumerate() {
+                let rows = [of(4 * k), of(4 * k + 1), of(4 * k + 2), of(4 * k + 3)];
+                for (i, value) in image.iter_mut().enumerate() {
+                    *value += (a * rows[0][i] + b * rows[1][i]) + (c * rows[2][i] + d * rows[3][i]);
+                }
+            }
+            for (k, weight) in rest.iter().enumerate() {
+                let row = of(4 * fours.len() + k);
+                for (value, level) in image.iter_mut().zip(row) {
+                    *value += weight * level;
+                }
+            }
+        }
     }
 
     /// Number of eigenmouths D.

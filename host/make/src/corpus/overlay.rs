@@ -34,6 +34,7 @@ pub(super) fn write(path: &Path, frames: &Frames, track: &MouthTrack, sound: &Pa
         height: frames.height & !1,
         fps,
         sound: Some(Soundtrack::File(sound)),
+        comment: None,
     };
     let mut sink = Box::new(Mp4::new(path, &film).map_err(Error::other)?);
     // A film has whole pictures a second: where the video has not, each moment shows the picture that was there.

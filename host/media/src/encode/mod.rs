@@ -11,7 +11,7 @@ pub mod mp4;
 #[non_exhaustive]
 pub enum EncodeError {
     /// The video encoder does not take pictures of this size or rate.
-    #[error("the video encoder refuses: {0}")]
+    #[error("the video encoder refuses {0}")]
     Video(String),
     /// The sides of a picture are larger than the file's header can say.
     #[error("pictures of {width}×{height} do not fit in an MP4 file")]

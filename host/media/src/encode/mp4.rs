@@ -21,7 +21,7 @@ const MATRIX: [u32; 9] = [0x1_0000, 0, 0, 0, 0x1_0000, 0, 0, 0, 0x4000_0000];
 const LANGUAGE: u16 = 0x55c4;
 
 /// Writes the whole file. `pictures` and `units` give the encoded samples of the two tracks, one after the other: they are copied chunk
-/// by chunk, so that a film takes no more memory than the sizes of its samples.
+/// by chunk, so that a film takes no more memory than the sizes of its samples. `comment` is what players and `ffprobe` show as such.
 ///
 /// # Errors
 ///
@@ -31,6 +31,7 @@ pub fn write(
     video: &Video,
     pictures: &mut dyn Read,
     sound: Option<(&Sound, &mut dyn Read)>,
+    comment: Option<&str>,
 ) -> Result<(), EncodeError> {
     let (sound, mut units) = sound.unzip();
     let layout = Layout::new(video, sound);
@@ -45,9 +46,9 @@ pub fn write(
     });
     // The header's length does not depend on the offsets in it.
     let mut header = Vec::new();
-    movie(&mut header, video, sound, &layout, 0);
+    movie(&mut header, video, sound, &layout, 0, comment);
     let first = (head.len() + header.len() + 8) as u32;
-    movie(&mut head, video, sound, &layout, first);
+    movie(&mut head, video, sound, &layout, first, comment);
     u32s(&mut head, &[8 + layout.payload as u32]);
     head.extend(b"mdat");
     out.write_all(&head)?;
@@ -131,7 +132,14 @@ impl Layout {
     }
 }
 
-fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layout, first: u32) {
+fn movie(
+    out: &mut Vec<u8>,
+    video: &Video,
+    sound: Option<&Sound>,
+    layout: &Layout,
+    first: u32,
+    comment: Option<&str>,
+) {
     let seen = video.sizes.len() as u64 * u64::from(MOVIE_SCALE) / u64::from(video.fps);
     let heard = sound.map_or(0, |s| s.samples * u64::from(MOVIE_SCALE) / u64::from(s.rate_hz));
     boxed(out, b"moov", |b| {
@@ -199,6 +207,34 @@ fn movie(out: &mut Vec<u8>, video: &Video, sound: Option<&Sound>, layout: &Layou
                 });
             });
         }
+        if let Some(comment) = comment {
+            words(b, &[(b"\xa9too", "lipstream"), (b"\xa9cmt", comment)]);
+        }
+    });
+}
+
+/// Words about the film, each under its name, as iTunes writes them and every player reads them (QuickTime File Format, "Metadata").
+fn words(out: &mut Vec<u8>, named: &[(&[u8; 4], &str)]) {
+    boxed(out, b"udta", |b| {
+        full(b, b"meta", 0, 0, |b| {
+            full(b, b"hdlr", 0, 0, |b| {
+                u32s(b, &[0]);
+                b.extend(b"mdirappl");
+                u32s(b, &[0, 0]);
+                b.push(0);
+            });
+            boxed(b, b"ilst", |b| {
+                for (name, text) in named {
+                    boxed(b, name, |b| {
+                        boxed(b, b"data", |b| {
+                            // UTF-8, of no country or language.
+                            u32s(b, &[1, 0]);
+                            b.extend(text.as_bytes());
+                        });
+                    });
+                }
+            });
+        });
     });
 }
 

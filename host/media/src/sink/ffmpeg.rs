@@ -50,6 +50,9 @@ impl Ffmpeg {
             let palette = "split[a][b];[a]palettegen[p];[b][p]paletteuse=dither=bayer";
             ffmpeg.args(["-vf", palette]);
         }
+        if let Some(comment) = film.comment {
+            ffmpeg.args(["-metadata", &format!("comment={comment}")]);
+        }
         ffmpeg
             .arg(&unfinished)
             .stdin(Stdio::piped())

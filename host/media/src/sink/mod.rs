@@ -88,6 +88,8 @@ pub struct Film<'a> {
     pub fps: u32,
     /// Sample 0 is heard when picture 0 is seen. Sinks that hold no sound leave it out.
     pub sound: Option<Soundtrack<'a>>,
+    /// What the file says of itself to whoever asks: one line. Sinks that hold no words leave it out.
+    pub comment: Option<&'a str>,
 }
 
 /// The sound of a film, which is read from start to end as often as it is needed.
@@ -177,6 +179,7 @@ mod tests {
             height: 16,
             fps: 25,
             sound: None,
+            comment: Some("a film & its “words”"),
         }
     }
 
@@ -208,6 +211,11 @@ mod tests {
         assert_eq!(names, ["000001.png", "000002.png"]);
         let file = std::io::BufReader::new(std::fs::File::open(target.join("000001.png")).unwrap());
         let mut reader = ::png::Decoder::new(file).read_info().unwrap();
+        let words = &reader.info().utf8_text[0];
+        assert_eq!(
+            (words.keyword.as_str(), words.get_text().unwrap().as_str()),
+            ("Comment", "a film & its “words”")
+        );
         let mut back = vec![0; reader.output_buffer_size().unwrap()];
         reader.next_frame(&mut back).unwrap();
         assert_eq!(back, picture);

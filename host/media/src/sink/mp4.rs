@@ -19,6 +19,7 @@ struct Spooled<S> {
     sound: Option<(aac::Sound, S)>,
     width: usize,
     height: usize,
+    comment: Option<String>,
 }
 
 impl<S: Read + Write + Seek> Spooled<S> {
@@ -42,30 +43,30 @@ impl<S: Read + Write + Seek> Spooled<S> {
             sound,
             width: film.width,
             height: film.height,
+            comment: film.comment.map(str::to_owned),
         })
     }
 
     fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
-        let sample = self
-            .encoder
-            .push(colour::from_rgb(rgb, self.width, self.height))?;
-        Ok(self.pictures.write_all(&sample)?)
+        let picture = colour::from_rgb(rgb, self.width, self.height);
+        Ok(self.encoder.push(picture, &mut self.pictures)?)
     }
 
     /// Writes the file.
-    fn write(self, out: &mut dyn Write) -> Result<(), SinkError> {
-        let video = self.encoder.finish()?;
+    fn write(mut self, out: &mut dyn Write) -> Result<(), SinkError> {
+        let video = self.encoder.finish(&mut self.pictures)?;
         let from_start = |mut spool: S| -> Result<BufReader<S>, SinkError> {
             spool.rewind()?;
             Ok(BufReader::new(spool))
         };
         let mut pictures = from_start(self.pictures)?;
+        let comment = self.comment.as_deref();
         match self.sound {
             Some((sound, units)) => {
                 let mut units = from_start(units)?;
-                mp4::write(out, &video, &mut pictures, Some((&sound, &mut units)))?;
+                mp4::write(out, &video, &mut pictures, Some((&sound, &mut units)), comment)?;
             }
-            None => mp4::write(out, &video, &mut pictures, None)?,
+            None => mp4::write(out, &video, &mut pictures, None, comment)?,
         }
         Ok(())
     }

@@ -12,6 +12,7 @@ pub struct PngFrames {
     aside: tempfile::TempDir,
     width: u32,
     height: u32,
+    comment: Option<String>,
     count: usize,
 }
 
@@ -32,15 +33,25 @@ impl PngFrames {
             aside: aside(folder)?,
             width: side(film.width)?,
             height: side(film.height)?,
+            comment: film.comment.map(str::to_owned),
             count: 0,
         })
     }
 }
 
-fn write(to: impl Write, width: u32, height: u32, rgb: &[u8]) -> Result<(), png::EncodingError> {
+fn write(
+    to: impl Write,
+    width: u32,
+    height: u32,
+    rgb: &[u8],
+    comment: Option<&str>,
+) -> Result<(), png::EncodingError> {
     let mut encoder = png::Encoder::new(to, width, height);
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
+    if let Some(comment) = comment {
+        encoder.add_itxt_chunk("Comment".into(), comment.into())?;
+    }
     let mut writer = encoder.write_header()?;
     writer.write_image_data(rgb)?;
     writer.finish()
@@ -54,7 +65,7 @@ fn write(to: impl Write, width: u32, height: u32, rgb: &[u8]) -> Result<(), png:
 pub fn write_png(path: &Path, width: usize, height: usize, rgb: &[u8]) -> Result<(), FileError> {
     let side = |side: usize| u32::try_from(side).unwrap_or(u32::MAX);
     files::write_whole(path, |file| {
-        write(file, side(width), side(height), rgb).map_err(std::io::Error::other)
+        write(file, side(width), side(height), rgb, None).map_err(std::io::Error::other)
     })
 }
 
@@ -63,7 +74,8 @@ impl Sink for PngFrames {
         self.count += 1;
         let path = self.aside.path().join(format!("{:06}.png", self.count));
         let file = File::create(&path).map_err(png::EncodingError::from);
-        let written = file.and_then(|file| write(BufWriter::new(file), self.width, self.height, rgb));
+        let (width, height, comment) = (self.width, self.height, self.comment.as_deref());
+        let written = file.and_then(|file| write(BufWriter::new(file), width, height, rgb, comment));
         written.map_err(|e| SinkError::Picture {
             picture: self.count,
             folder: self.folder.clone(),

@@ -14,6 +14,7 @@ use crate::progress::{Progress, Steps};
 use crate::{parameters, time};
 
 pub mod drawn;
+mod enlarge;
 pub mod face;
 pub mod page;
 mod painter;
@@ -345,6 +346,11 @@ pub fn to_mp4(
     })
 }
 
+/// What every film says of itself, where its format has room for words: pictures of a mouth that looks real and says what it never said should not be
+/// taken for a recording.
+pub const SYNTHETIC: &str =
+    "Synthetic: this mouth was drawn by lipstream from speech or parameters. It is not a recording.";
+
 /// What a sink has to know of a scene.
 pub fn film<'s>(scene: &dyn Scene, settings: &Settings, sound: Option<Soundtrack<'s>>) -> Film<'s> {
     film_of(scene, settings.fps, sound)
@@ -358,6 +364,7 @@ pub fn film_of<'s>(scene: &dyn Scene, fps: u32, sound: Option<Soundtrack<'s>>) -
         height,
         fps,
         sound,
+        comment: Some(SYNTHETIC),
     }
 }
 

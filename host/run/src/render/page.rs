@@ -78,35 +78,57 @@ pub fn write(page: &Page) -> Result<String> {
         "parameters": traces,
         "cues": cues,
     });
-    // Inside a script element only `<` could end it.
-    let data = data.to_string().replace('<', "\\u003c");
     let video = format!("data:video/mp4;base64,{}", STANDARD.encode(page.mp4));
-    let mut title = String::new();
-    for c in page.title.chars() {
+    let title = escaped(page.title);
+    Ok(fill(
+        TEMPLATE,
+        &[
+            ("title", &title),
+            ("note", &escaped(super::SYNTHETIC)),
+            ("video", &video),
+            ("data", &in_script(&data)),
+        ],
+    ))
+}
+
+/// Numbers and texts as they may stand in a script element of a page, which only `<` could end.
+pub fn in_script(data: &serde_json::Value) -> String {
+    data.to_string().replace('<', "\\u003c")
+}
+
+/// Text as it may stand between the tags and in the attributes of a page.
+pub fn escaped(text: &str) -> String {
+    let mut out = String::new();
+    for c in text.chars() {
         match c {
-            '&' => title.push_str("&amp;"),
-            '<' => title.push_str("&lt;"),
-            '>' => title.push_str("&gt;"),
-            '"' => title.push_str("&quot;"),
-            c => title.push(c),
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            c => out.push(c),
         }
     }
-    let mut out = String::with_capacity(TEMPLATE.len() + video.len() + data.len());
-    let mut rest = TEMPLATE;
+    out
+}
+
+/// A template whose slots, a name in two pairs of braces, hold what `slots` gives for them. What is put in is not looked at again.
+///
+/// # Panics
+///
+/// If the template has a slot that `slots` does not know.
+pub fn fill(template: &str, slots: &[(&str, &str)]) -> String {
+    let mut out = String::with_capacity(template.len() + slots.iter().map(|s| s.1.len()).sum::<usize>());
+    let mut rest = template;
     while let Some(at) = rest.find("{{") {
         let (before, slot) = rest.split_at(at);
         out.push_str(before);
         let (name, after) = slot[2..].split_once("}}").expect("a slot of the template ends");
-        out.push_str(match name {
-            "title" => &title,
-            "video" => &video,
-            "data" => &data,
-            _ => unreachable!("the template has no other slot"),
-        });
+        let known = slots.iter().find(|(known, _)| *known == name);
+        out.push_str(known.unwrap_or_else(|| panic!("nothing for slot {name}")).1);
         rest = after;
     }
     out.push_str(rest);
-    Ok(out)
+    out
 }
 
 /// Loudest sample of each stretch, 0..255 on a square-root scale, which shows quiet consonants.
@@ -168,6 +190,15 @@ mod tests {
             }
         }
         assert!(!text.contains("@import") && !text.contains("url(") && !text.contains("{{"));
+    }
+
+    #[test]
+    fn it_says_that_it_is_synthetic() {
+        let said = format!(
+            "<meta name=\"description\" content=\"{}\">",
+            super::super::SYNTHETIC
+        );
+        assert!(page("hello.wav").contains(&said));
     }
 
     #[test]

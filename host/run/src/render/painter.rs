@@ -2,19 +2,20 @@
 use ndarray::{ArrayView1, ArrayView2};
 use rand::SeedableRng as _;
 use rand_pcg::Pcg32;
-use resize::Pixel;
-use resize::px::RGB;
 
+use super::enlarge::Enlarger;
 use super::refine::{Candidates, Choice};
 use super::{Scene, Settings};
-use crate::error::{Context as _, Result, bail};
+use crate::error::{Result, bail};
 use crate::mouth::MouthSpace;
 use crate::random::normal;
 
 /// The mouth alone, in pictures of one size.
 pub struct Painter<'a> {
     space: &'a MouthSpace,
-    enlarge: resize::Resizer<resize::formats::Rgb<f32, f32>>,
+    enlarger: Enlarger,
+    /// The mouth at its own size, and what the enlarger reads beyond it.
+    native: Vec<f32>,
     width: usize,
     height: usize,
     noise: f32,
@@ -43,19 +44,10 @@ impl<'a> Painter<'a> {
         if !(0.0..=100.0).contains(&settings.noise) {
             bail!(Choice, "noise of {} levels: choose 0 to 100", settings.noise);
         }
-        let enlarge = resize::new(
-            space.width,
-            space.height,
-            width,
-            height,
-            Pixel::RGBF32,
-            // Interpolates the pixels it is given: no blur, and less ringing than Lanczos.
-            resize::Type::Catrom,
-        )
-        .with_context(|| format!("cannot enlarge the mouth to {width}×{height}"))?;
         Ok(Self {
             space,
-            enlarge,
+            enlarger: Enlarger::new((space.width, space.height), (width, height)),
+            native: vec![0.0; space.mean.len() + Enlarger::MARGIN],
             width,
             height,
             noise: settings.noise,
@@ -107,38 +99,28 @@ impl Scene for Painter<'_> {
 
     /// From eigenmouth weights `[D]`.
     fn draw(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
-        let mut image = self.space.expand(weights);
+        let (image, _) = self.native.split_at_mut(self.space.mean.len());
+        self.space.expand_into(weights, image);
         if let Some(details) = &self.details
             && self.drawn < details.way.len()
         {
-            image += &ArrayView1::from(&details.candidates.shown(&details.way, self.drawn, details.choice));
+            let detail = details.candidates.shown(&details.way, self.drawn, details.choice);
+            image
+                .iter_mut()
+                .zip(detail)
+                .for_each(|(level, more)| *level += more);
         }
         self.drawn += 1;
         if self.noise > 0.0 {
-            for value in &mut image {
+            for value in image.iter_mut() {
                 *value += self.noise * normal(&mut self.random);
             }
         }
-        let native: Vec<RGB<f32>> = image
-            .as_slice()
-            .expect("a new array lies in one piece")
-            .chunks_exact(3)
-            .map(|p| RGB::new(level(p[0]), level(p[1]), level(p[2])))
-            .collect();
-        let mut large = vec![RGB::new(0.0, 0.0, 0.0); self.width * self.height];
-        self.enlarge
-            .resize(&native, &mut large)
-            .context("cannot enlarge the mouth")?;
-        Ok(large
-            .iter()
-            .flat_map(|p| [p.r, p.g, p.b])
-            .map(|v| level(v.round()) as u8)
-            .collect())
+        for value in image {
+            *value = value.clamp(0.0, 255.0);
+        }
+        Ok(self.enlarger.enlarge(&self.native))
     }
-}
-
-fn level(value: f32) -> f32 {
-    value.clamp(0.0, 255.0)
 }
 
 #[cfg(test)]
