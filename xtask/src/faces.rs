@@ -81,6 +81,61 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     Ok(())
 }
 
+/// How a background that goes on changes from picture to picture, over its joins and elsewhere: mean difference in levels.
+fn joins(footage: &mut Footage, space: &MouthSpace) -> Result<String> {
+    let tracks = Array2::zeros((1, space.size()));
+    let wanted = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    let fps = footage.rate_hz.round() as u32;
+    let settings = FaceSettings {
+        fps,
+        ..FaceSettings::default()
+    };
+    let pictures = footage.places.len();
+    let mut scene = FaceScene::new(footage, space, &wanted, &settings)?;
+    let (mut ordinary, mut over) = (Vec::new(), Vec::new());
+    let mut before: Option<Vec<u8>> = None;
+    let dissolves = |scene: &FaceScene, n: usize| {
+        let moment = scene.course().at((n as f64 + 0.5) / f64::from(fps));
+        moment.next.is_some()
+    };
+    for n in 0..2 * pictures {
+        let (rgb, _) = scene.undrawn(n)?;
+        if let Some(before) = &before {
+            let sum: u64 = rgb
+                .iter()
+                .zip(before)
+                .map(|(a, b)| u64::from(a.abs_diff(*b)))
+                .sum();
+            let change = sum as f64 / rgb.len() as f64;
+            match dissolves(&scene, n) || dissolves(&scene, n - 1) {
+                true => over.push(change),
+                false => ordinary.push(change),
+            }
+        }
+        before = Some(rgb);
+    }
+    ordinary.sort_by(f64::total_cmp);
+    over.sort_by(f64::total_cmp);
+    let at = |of: &[f64], share: f64| {
+        of.get((share * of.len() as f64) as usize)
+            .or(of.last())
+            .copied()
+            .unwrap_or(0.0)
+    };
+    Ok(format!(
+        "{pictures} pictures, loop {:?}; change from picture to picture, levels: median {:.2}, 95 % {:.2}, most {:.2}; over joins: median {:.2}, most {:.2}",
+        scene.course().around(),
+        at(&ordinary, 0.5),
+        at(&ordinary, 0.95),
+        at(&ordinary, 1.0),
+        at(&over, 0.5),
+        at(&over, 1.0)
+    ))
+}
+
 /// A sentence: what the model says of it, and how its speaker's face moved.
 struct Clip {
     tracks: Array2<f32>,

@@ -2,12 +2,12 @@
 //!
 //!     cargo xtask pictures FOLDER MODEL.safetensors [val|test] [CHANGE...]
 //!
-//! FOLDER is what the model was trained on. Every clip is drawn on its own mean mouth, from its true weights and from those that the model hears, 25 pictures a second. CHANGE: charges
+//! FOLDER is what the model was trained on; in place of the model, the folder's mouth.safetensors says what its eigenmouths alone lose. Every clip is drawn on its own mean mouth, from its true weights and from those that the model hears, 25 pictures a second. CHANGE: charges
 //! for a change of candidate that are tried.
 use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
-use lipstream::engine::{Engine, Kind, RunSettings};
+use lipstream::engine::{Engine, FloatModel, Kind, RunSettings};
 use lipstream::lips::Lips;
 use lipstream::mouth::MouthSpace;
 use lipstream::render::refine::{Candidates, Choice};
@@ -33,7 +33,11 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;
     let model = PathBuf::from(model);
     let space = MouthSpace::load(&Tensors::read(&model)?)?;
-    let engine = Engine::open(&model, Kind::Fixed)?;
+    // The mouth.safetensors of a folder hears nothing: only true weights are drawn.
+    let engine = match FloatModel::of_tensors(&Tensors::read(&model)?) {
+        Ok(_) => Some(Engine::open(&model, Kind::Fixed)?),
+        Err(_) => None,
+    };
     let all = candidates(&folder, &space, &())?;
     let first = folder.split(split).find(|clip| clip.video_frames > 0);
     let lips = learn_lips(
@@ -57,8 +61,12 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     for clip in folder.split(split).filter(|clip| clip.video_frames > 0) {
         let seen = Seen::read(&folder, clip, &space)?;
         let recorded = &seen.differences + &seen.mean;
-        let heard = heard(&engine, &folder, clip, space.size())?;
-        for (tracks, column) in [(seen.weights.view(), 0), (heard.view(), 1)] {
+        let mut of_clip = vec![seen.weights.clone()];
+        if let Some(engine) = &engine {
+            of_clip.push(heard(engine, &folder, clip, space.size())?);
+        }
+        for (column, tracks) in of_clip.iter().enumerate() {
+            let tracks = tracks.view();
             for ((_, choice), row) in ways.iter().zip(&mut rows) {
                 let drawn = drawn(&space, &seen, &all, tracks, *choice);
                 row[column].add(drawn.view(), recorded.view(), &space, &lips);
@@ -68,7 +76,8 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     println!(
         "| weights | drawn with | PSNR | SSIM | sharpness | jerk | gap off, pixels | closed: precision | recall |\n|---|---|---|---|---|---|---|---|---|"
     );
-    for (column, weights) in ["true", "heard"].into_iter().enumerate() {
+    let columns = if engine.is_some() { 2 } else { 1 };
+    for (column, weights) in ["true", "heard"].into_iter().enumerate().take(columns) {
         for ((name, _), row) in ways.iter().zip(&rows) {
             println!("| {weights} | {name} | {}", row[column].told());
         }

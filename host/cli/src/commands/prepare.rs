@@ -51,6 +51,9 @@ pub(crate) struct Args {
     /// Eigenmouths to keep
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u16).range(1..=1000))]
     eigenmouths: u16,
+    /// So many eigenmouths of each colour, as in the paper, instead of joint ones: three times as many parameters
+    #[arg(long, conflicts_with = "audio_only")]
+    by_channel: bool,
     /// Leave each clip's mean in its mouth weights
     #[arg(long)]
     keep_clip_mean: bool,
@@ -98,6 +101,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
         audio_only: args.audio_only,
         eigenmouths: args.eigenmouths.into(),
+        by_channel: args.by_channel,
         keep_clip_mean: args.keep_clip_mean,
         overlay: args.overlay,
         sync_offset_ms: args.sync_offset,

@@ -50,6 +50,8 @@ pub struct PrepareSettings {
     pub audio_only: bool,
     /// Eigenmouths to keep; fewer where there are not as many different images.
     pub eigenmouths: usize,
+    /// So many eigenmouths of each colour, as in the paper, instead of joint ones.
+    pub by_channel: bool,
     /// Leaves each clip's mean in its weights: what a speaker looks like all through a clip.
     pub keep_clip_mean: bool,
     /// Writes a film of every clip with what was found drawn on it: the mouth's rectangle, the lips.
@@ -71,6 +73,7 @@ impl Default for PrepareSettings {
             hearing: Hearing::default(),
             audio_only: false,
             eigenmouths: 30,
+            by_channel: false,
             keep_clip_mean: false,
             overlay: false,
             sync_offset_ms: None,

@@ -425,8 +425,13 @@ fn eigenmouths(
     let keep = (MOST_IMAGES / used.len()).max(1);
     let parts: Vec<&str> = used.iter().map(|i| stamps[*i].as_str()).collect();
     let stamp = format!(
-        "{} {:016x}",
+        "{}{} {:016x}",
         settings.eigenmouths,
+        if settings.by_channel {
+            " of each colour"
+        } else {
+            ""
+        },
         stamp::digest(&parts.join("\n"))
     );
     let path = settings.out.join("mouth.safetensors");
@@ -453,10 +458,14 @@ fn eigenmouths(
         bail!(Data, "{} mouth image is too few for eigenmouths", samples.len());
     }
     let size = settings.eigenmouths.min(samples.len() - 1);
-    let (space, carried) = vision::eigenmouths(&samples, size)?;
+    let (space, carried) = match settings.by_channel {
+        true => vision::eigenmouths_by_channel(&samples, size)?,
+        false => vision::eigenmouths(&samples, size)?,
+    };
     steps.made();
     progress.say(&format!(
-        "{size} eigenmouths of {} images ({}×{} pixels) carry {:.1} % of their variance",
+        "{} eigenmouths of {} images ({}×{} pixels) carry {:.1} % of their variance",
+        space.size(),
         samples.len(),
         space.width,
         space.height,

@@ -3,7 +3,7 @@
 //! With n images of P numbers, n ≪ P, the components come from the n × n Gram matrix X·Xᵀ = U Λ Uᵀ (Turk & Pentland's
 //! trick): eigenmouth k is Xᵀu_k / √λ_k.
 use nalgebra::{DMatrix, SymmetricEigen};
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, Axis, s};
 
 use super::tracker::MouthTrack;
 use crate::error::{Result, bail};
@@ -82,69 +82,120 @@ impl MouthSamples {
 
 /// The mean mouth and the first `size` eigenmouths; the share of the images' variance that they carry.
 pub fn eigenmouths(samples: &MouthSamples, size: usize) -> Result<(MouthSpace, f32)> {
-    let count = samples.len();
-    if size == 0 || count <= size {
-        bail!(
-            Choice,
-            "{size} eigenmouths need more than {size} images; there are {count}"
-        );
+    let found = Components::of(samples.centred()?, size)?;
+    Ok((
+        samples.space(found.basis, found.deviation),
+        (found.carried / found.total) as f32,
+    ))
+}
+
+/// The mean mouth and `size` eigenmouths of each colour, as the paper has them (X&L section 5: 30 of each, 90 numbers): those of red, of green, of blue; the share
+/// of the images' variance that they carry.
+pub fn eigenmouths_by_channel(samples: &MouthSamples, size: usize) -> Result<(MouthSpace, f32)> {
+    let rows = samples.centred()?;
+    let mut basis = Array2::<f32>::zeros((3 * size, rows.ncols()));
+    let mut deviation = Array1::<f32>::zeros(3 * size);
+    let (mut carried, mut total) = (0.0, 0.0);
+    for channel in 0..3 {
+        let found = Components::of(rows.slice(s![.., channel..;3]).to_owned(), size)?;
+        let of_channel = channel * size..(channel + 1) * size;
+        basis
+            .slice_mut(s![of_channel.clone(), channel..;3])
+            .assign(&found.basis);
+        deviation.slice_mut(s![of_channel]).assign(&found.deviation);
+        carried += found.carried;
+        total += found.total;
     }
-    let pixels = samples.mean.len();
-    let mut rows = Array2::from_shape_vec((count, pixels), samples.differences.clone())?;
-    let centre = rows.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(pixels));
-    rows -= &centre;
-    let gram = rows.dot(&rows.t());
-    let total: f64 = gram.diag().iter().map(|v| f64::from(*v)).sum();
-    if total <= 0.0 {
-        bail!(Numbers, "the mouth images do not differ from each other");
+    Ok((samples.space(basis, deviation), (carried / total) as f32))
+}
+
+impl MouthSamples {
+    /// The differences without their mean, `[n, P]`.
+    fn centred(&self) -> Result<Array2<f32>> {
+        let pixels = self.mean.len();
+        let mut rows = Array2::from_shape_vec((self.len(), pixels), self.differences.clone())?;
+        let centre = rows.mean_axis(Axis(0)).unwrap_or_else(|| Array1::zeros(pixels));
+        rows -= &centre;
+        Ok(rows)
     }
-    let gram = DMatrix::from_fn(count, count, |a, b| f64::from(gram[(a, b)]));
-    let eigen = SymmetricEigen::new(gram);
-    let mut order: Vec<usize> = (0..count).collect();
-    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
-    let mut basis = Array2::<f32>::zeros((size, pixels));
-    let mut deviation = Array1::<f32>::zeros(size);
-    let mut carried = 0.0;
-    for (k, &index) in order.iter().take(size).enumerate() {
-        let value = eigen.eigenvalues[index];
-        if value < 1e-9 * total {
+
+    fn space(&self, basis: Array2<f32>, deviation: Array1<f32>) -> MouthSpace {
+        let mean = self.mean.iter().map(|s| (s / self.clips as f64) as f32).collect();
+        MouthSpace {
+            width: self.width,
+            height: self.height,
+            mean,
+            basis,
+            deviation,
+        }
+    }
+}
+
+/// Principal components of rows without a mean.
+struct Components {
+    /// Orthonormal, `[size, P]`, largest variance first.
+    basis: Array2<f32>,
+    deviation: Array1<f32>,
+    /// Variance that they carry, and all of it.
+    carried: f64,
+    total: f64,
+}
+
+impl Components {
+    fn of(rows: Array2<f32>, size: usize) -> Result<Self> {
+        let (count, pixels) = rows.dim();
+        if size == 0 || count <= size {
             bail!(
-                Numbers,
-                "the mouth images span only {k} dimensions, {size} eigenmouths are wanted"
+                Choice,
+                "{size} eigenmouths need more than {size} images; there are {count}"
             );
         }
-        carried += value;
-        let weights: Array1<f32> = eigen
-            .eigenvectors
-            .column(index)
-            .iter()
-            .map(|v| *v as f32)
-            .collect();
-        let mut mouth = weights.dot(&rows);
-        // Rounding left it not quite at a right angle to the ones before.
-        for before in 0..k {
-            let along = basis.row(before).dot(&mouth);
-            mouth.scaled_add(-along, &basis.row(before));
+        let gram = rows.dot(&rows.t());
+        let total: f64 = gram.diag().iter().map(|v| f64::from(*v)).sum();
+        if total <= 0.0 {
+            bail!(Numbers, "the mouth images do not differ from each other");
         }
-        let norm = mouth.dot(&mouth).sqrt();
-        // The sign is arbitrary: the largest pixel is positive, so that results can be compared.
-        let sign = if largest(mouth.view()) < 0.0 { -1.0 } else { 1.0 };
-        basis.row_mut(k).assign(&(mouth * (sign / norm)));
-        deviation[k] = (value / count as f64).sqrt() as f32;
+        let gram = DMatrix::from_fn(count, count, |a, b| f64::from(gram[(a, b)]));
+        let eigen = SymmetricEigen::new(gram);
+        let mut order: Vec<usize> = (0..count).collect();
+        order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+        let mut basis = Array2::<f32>::zeros((size, pixels));
+        let mut deviation = Array1::<f32>::zeros(size);
+        let mut carried = 0.0;
+        for (k, &index) in order.iter().take(size).enumerate() {
+            let value = eigen.eigenvalues[index];
+            if value < 1e-9 * total {
+                bail!(
+                    Numbers,
+                    "the mouth images span only {k} dimensions, {size} eigenmouths are wanted"
+                );
+            }
+            carried += value;
+            let weights: Array1<f32> = eigen
+                .eigenvectors
+                .column(index)
+                .iter()
+                .map(|v| *v as f32)
+                .collect();
+            let mut mouth = weights.dot(&rows);
+            // Rounding left it not quite at a right angle to the ones before.
+            for before in 0..k {
+                let along = basis.row(before).dot(&mouth);
+                mouth.scaled_add(-along, &basis.row(before));
+            }
+            let norm = mouth.dot(&mouth).sqrt();
+            // The sign is arbitrary: the largest pixel is positive, so that results can be compared.
+            let sign = if largest(mouth.view()) < 0.0 { -1.0 } else { 1.0 };
+            basis.row_mut(k).assign(&(mouth * (sign / norm)));
+            deviation[k] = (value / count as f64).sqrt() as f32;
+        }
+        Ok(Self {
+            basis,
+            deviation,
+            carried,
+            total,
+        })
     }
-    let mean = samples
-        .mean
-        .iter()
-        .map(|s| (s / samples.clips as f64) as f32)
-        .collect();
-    let space = MouthSpace {
-        width: samples.width,
-        height: samples.height,
-        mean,
-        basis,
-        deviation,
-    };
-    Ok((space, (carried / total) as f32))
 }
 
 fn largest(values: ArrayView1<f32>) -> f32 {
@@ -222,6 +273,25 @@ mod tests {
         // Standard deviation of 300·sin and 120·cos.
         assert!((space.deviation[0] - 212.0).abs() < 15.0 && (space.deviation[1] - 85.0).abs() < 8.0);
         assert!(space.mean.iter().all(|m| (m - 128.0).abs() < 6.0));
+    }
+
+    #[test]
+    fn each_colour_has_its_own() {
+        let mut samples = MouthSamples::new(SIZE);
+        for level in [100.0, 156.0] {
+            samples.add_clip(&clip(level, 60), 40).unwrap();
+        }
+        let (joint, _) = eigenmouths(&samples, 2).unwrap();
+        let (space, share) = eigenmouths_by_channel(&samples, 2).unwrap();
+        assert!(space.size() == 6 && share > 0.995, "{share}");
+        assert_eq!(space.mean, joint.mean);
+        for (k, row) in space.basis.outer_iter().enumerate() {
+            assert!((row.dot(&row) - 1.0).abs() < 1e-4);
+            // Nothing of the other colours.
+            let others = row.iter().enumerate().filter(|(p, _)| p % 3 != k / 2);
+            assert!(others.into_iter().all(|(_, v)| *v == 0.0), "{k}");
+        }
+        assert!(eigenmouths_by_channel(&samples, 200).is_err());
     }
 
     #[test]

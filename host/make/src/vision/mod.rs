@@ -12,7 +12,7 @@ pub(crate) mod shift;
 mod tracker;
 
 pub use colour::ChannelMap;
-pub use eigen::{MouthSamples, eigenmouths};
+pub use eigen::{MouthSamples, eigenmouths, eigenmouths_by_channel};
 pub(crate) use face::Detector;
 pub use footage::{LONGEST_S, footage};
 pub(crate) use landmarks::Walk;
