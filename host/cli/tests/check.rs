@@ -105,3 +105,57 @@ fn what_cannot_be_checked_is_said_in_one_line() {
         assert!(ran.stdout.is_empty());
     }
 }
+
+/// An offset said by hand moves the sound and the times of its labels, and another one moves them anew.
+#[test]
+fn a_given_offset_moves_sound_and_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    std::fs::create_dir(root.join("clips")).unwrap();
+    std::fs::write(root.join("hello.wav"), lipstream::shipped::SOUND).unwrap();
+    let film = [
+        "-f",
+        "lavfi",
+        "-i",
+        "testsrc=s=160x120:r=25:d=3",
+        "-i",
+        "hello.wav",
+    ];
+    ffmpeg(
+        root,
+        &[
+            &film[..],
+            &["-c:v", "mpeg4", "-c:a", "pcm_s16le", "clips/one.mkv"],
+        ]
+        .concat(),
+    );
+    std::fs::write(root.join("clips/one.lab"), "0 5000000 sil\n5000000 7000000 b\n").unwrap();
+    let prepared = |offset: &str| {
+        let ran = Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .current_dir(root)
+            .args([
+                "prepare",
+                "clips",
+                "-o",
+                "features",
+                "--audio-only",
+                "--sync-offset",
+                offset,
+            ])
+            .output()
+            .unwrap();
+        assert!(ran.status.success(), "{}", text(&ran.stderr));
+        let features = lipstream_make::features::FeatureFolder::open(&root.join("features")).unwrap();
+        let begins = features.manifest.clips[0].phones[1].start;
+        let sound = lipstream_media::sound::read(&features.wav_path("one")).unwrap();
+        (sound.samples, begins)
+    };
+    let (own, begins) = prepared("0");
+    assert_eq!(begins, 0.5);
+    let (late, begins) = prepared("100");
+    assert!((begins - 0.4).abs() < 1e-6);
+    assert_eq!(late[..late.len() - 1600], own[1600..]);
+    let (early, begins) = prepared("-100");
+    assert!((begins - 0.6).abs() < 1e-6);
+    assert_eq!(early[1600..], own[..own.len() - 1600]);
+}

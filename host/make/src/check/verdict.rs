@@ -301,11 +301,12 @@ fn offset(sync: &SyncReport) -> Verdict {
         true => String::new(),
         false => format!("; its thirds {} ms", parts.join(", ")),
     };
-    let found = format!(
-        "sound {:.0} ms {side} (± {:.0}){parts}",
-        offset.abs(),
-        sync.spread_ms
-    );
+    // Draws of one or two blocks are all alike.
+    let spread = match sync.above_chance {
+        Some(_) => format!(" (± {:.0})", sync.spread_ms),
+        None => String::new(),
+    };
+    let found = format!("sound {:.0} ms {side}{spread}{parts}", offset.abs());
     if !sync.is_sure() {
         return untold(
             "sync",
