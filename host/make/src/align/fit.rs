@@ -7,7 +7,7 @@ use super::{Alignment, SpokenWord};
 /// Nats a frame of 5 ms by which the phones that are heard may explain a word's sound better than the word does, and by which they may explain
 /// all words' better. Chosen on GRID's validation clips and TIMIT's training speakers (docs/alignment.md).
 const MOST_OF_A_WORD: f64 = 8.0;
-const MOST_OF_ALL: f64 = 2.5;
+const MOST_OF_ALL: f64 = 3.5;
 /// A word shorter than this is judged together with its neighbours (s).
 const LEAST_S: f64 = 0.3;
 

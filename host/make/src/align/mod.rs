@@ -204,7 +204,7 @@ impl Aligner {
         let said = |n: usize| {
             let mut of = alignment.phones.iter().filter(|p| p.word == Some(n));
             let first = of.next()?;
-            Some((n, 0.5 * (first.start + of.last().unwrap_or(first).end)))
+            Some((n, 0.5 * (first.start + of.next_back().unwrap_or(first).end)))
         };
         Ok((0..words.len()).filter_map(said).collect())
     }
