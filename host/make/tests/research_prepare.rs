@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use lipstream_make::corpus::{self, PrepareSettings};
 use lipstream_make::features::{self, FeatureFolder, Split};
+use lipstream_media::video;
 
 /// The folder of the research data.
 fn shared() -> PathBuf {
@@ -123,6 +124,7 @@ fn grid_videos() {
         corpus: corpus_path,
         out: folder.path().join("features"),
         eigenmouths: 10,
+        overlay: true,
         ..Default::default()
     };
     let summary = corpus::prepare(&settings, &()).unwrap();
@@ -142,6 +144,18 @@ fn grid_videos() {
         }
         let images = features::read_mouths(&features.mouths_path(&clip.id)).unwrap();
         assert_eq!(images.dim().0, clip.video_frames);
+        // Its film is its video with something drawn on it: the rectangle's white and the lips' green are nowhere else.
+        let film = video::decode(&settings.out.join(format!("overlay/{}.mp4", clip.id))).unwrap();
+        assert_eq!(
+            (film.width, film.height, film.len()),
+            (360, 288, clip.video_frames)
+        );
+        let green = |p: &[u8]| p[1] > 150 && p[0] < 140 && p[2] < 140;
+        assert!(
+            film.frame(10).chunks(3).filter(|p| green(p)).count() > 10,
+            "{}",
+            clip.id
+        );
         // The mouth moves while words are spoken and rests before and after them.
         let span = (clip.words[0].time.unwrap().0, clip.words[5].time.unwrap().1);
         for t in 1..clip.video_frames {

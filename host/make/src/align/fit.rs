@@ -7,7 +7,7 @@ use super::{Alignment, SpokenWord};
 /// Nats a frame of 5 ms by which the phones that are heard may explain a word's sound better than the word does, and by which they may explain
 /// all words' better. Chosen on GRID's validation clips and TIMIT's training speakers (docs/alignment.md).
 const MOST_OF_A_WORD: f64 = 8.0;
-const MOST_OF_ALL: f64 = 2.5;
+const MOST_OF_ALL: f64 = 3.5;
 /// A word shorter than this is judged together with its neighbours (s).
 const LEAST_S: f64 = 0.3;
 
@@ -16,27 +16,30 @@ const LEAST_S: f64 = 0.3;
 pub struct Fit {
     /// The word that explains its sound worst.
     pub worst: f64,
-    /// All of the text, over the frames of its words.
+    /// All words, over their frames.
     pub all: f64,
 }
 
 impl Fit {
     /// Judges the alignment of a text by what is recognised in the same sound; none without words.
     pub fn of(aligned: &Alignment, heard: &Alignment) -> Option<Self> {
-        let behind = |word: &SpokenWord| {
+        let behind = |from: f64, to: f64| mean(heard, from, to) - mean(aligned, from, to);
+        let of_word = |word: &SpokenWord| {
             let more = 0.5 * (LEAST_S - (word.end - word.start)).max(0.0);
-            let (from, to) = (
+            behind(
                 (word.start - more).max(0.0),
                 (word.end + more).min(aligned.duration),
-            );
-            mean(heard, from, to) - mean(aligned, from, to)
+            )
         };
-        let worst = aligned.words.iter().map(behind).max_by(f64::total_cmp)?;
-        let spoken: f64 = aligned.words.iter().map(|w| w.end - w.start).sum();
-        let behind = heard.log_likelihood - aligned.log_likelihood;
+        let worst = aligned.words.iter().map(of_word).max_by(f64::total_cmp)?;
+        let (mut sum, mut seconds) = (0.0, 0.0);
+        for word in &aligned.words {
+            sum += (word.end - word.start) * behind(word.start, word.end);
+            seconds += word.end - word.start;
+        }
         Some(Self {
             worst,
-            all: behind * aligned.duration / spoken.max(LEAST_S),
+            all: sum / seconds.max(LEAST_S),
         })
     }
 

@@ -109,6 +109,8 @@ fn border_time(t: usize) -> f64 {
 pub struct Aligner {
     hmm: AudioHmm,
     evaluator: Evaluator,
+    /// Whether words may be parted by silences as between sentences.
+    long_pauses: bool,
 }
 
 impl Aligner {
@@ -117,7 +119,25 @@ impl Aligner {
         Self {
             evaluator: Evaluator::new(&hmm.audio),
             hmm,
+            long_pauses: false,
         }
+    }
+
+    /// For texts of several sentences: their words may be parted by silences as well as by short pauses.
+    pub fn with_long_pauses(self) -> Self {
+        Self {
+            long_pauses: true,
+            ..self
+        }
+    }
+
+    /// The network of a text; none where the model lacks silence or a phone of every way of saying a word.
+    fn transcript(&self, words: &[Word]) -> Option<PhoneNetwork> {
+        let network = PhoneNetwork::transcript(words, &|p| self.index(p))?;
+        Some(match self.index(Phone::SIL).filter(|_| self.long_pauses) {
+            Some(silence) => network.with_long_pauses(silence),
+            None => network,
+        })
     }
 
     fn index(&self, phone: Phone) -> Option<usize> {
@@ -141,7 +161,7 @@ impl Aligner {
                 word.pronunciations[0].join(" ")
             );
         }
-        let network = PhoneNetwork::transcript(words, &|p| self.index(p)).ok_or_else(|| {
+        let network = self.transcript(words).ok_or_else(|| {
             Error::Data("the model has no phone for silence, or the text has no words".into())
         })?;
         let mut alignment = self.network(samples, &network)?;
@@ -177,13 +197,14 @@ impl Aligner {
         words: &[Word],
         unsure: (usize, usize),
     ) -> Result<Vec<(usize, f64)>> {
-        let network = PhoneNetwork::transcript(words, &|p| self.index(p))
+        let network = self
+            .transcript(words)
             .ok_or_else(|| Error::Data("the text holds a phone that the model has never heard".into()))?;
         let alignment = self.network(samples, &network.with_open_ends(unsure.0, unsure.1))?;
         let said = |n: usize| {
             let mut of = alignment.phones.iter().filter(|p| p.word == Some(n));
             let first = of.next()?;
-            Some((n, 0.5 * (first.start + of.last().unwrap_or(first).end)))
+            Some((n, 0.5 * (first.start + of.next_back().unwrap_or(first).end)))
         };
         Ok((0..words.len()).filter_map(said).collect())
     }

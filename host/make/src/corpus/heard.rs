@@ -59,7 +59,7 @@ impl Listener {
             };
             Ok(Ears {
                 recogniser: Recogniser::new(hmm.clone(), RecognitionSettings::default()),
-                aligner: Aligner::new(hmm),
+                aligner: Aligner::new(hmm).with_long_pauses(),
             })
         };
         if self.hearing == Hearing::Nobody {

@@ -360,6 +360,7 @@ pub fn phones_said<'a>(clips: impl Iterator<Item = &'a Clip>) -> Vec<Phone> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::features::{MANIFEST_VERSION, Manifest, PhonesFrom};
     use ndarray::array;
 
     #[test]
@@ -370,6 +371,50 @@ mod tests {
         assert!((up[[4, 0]] - (4.0 - 0.75)).abs() < 1e-4);
         assert!((up[[5, 0]] - (4.0 + 0.25)).abs() < 1e-4);
         assert_eq!((up[[0, 0]], up[[11, 0]]), (0.0, 8.0));
+    }
+
+    /// A clip of which nothing tells its phones is no silence: it is left out by name, unless nobody asks for phones.
+    #[test]
+    fn clips_without_labels_are_left_out() {
+        let clip = |id: &str, phones: &[&str], from: PhonesFrom| Clip {
+            id: id.into(),
+            speaker: String::new(),
+            split: Split::Train,
+            audio_frames: 100,
+            video_frames: 0,
+            video_hz: 0.0,
+            words: Vec::new(),
+            phones: even(
+                &phones.iter().map(|p| (*p).to_owned()).collect::<Vec<_>>(),
+                0.0,
+                1.0,
+            ),
+            phones_from: from,
+        };
+        let folder = FeatureFolder {
+            root: "nowhere".into(),
+            manifest: Manifest {
+                version: MANIFEST_VERSION,
+                corpus: String::new(),
+                start_mean: vec![0.0; lipstream_core::N_STATIC],
+                visual_size: 0,
+                clips: vec![
+                    clip("labelled", &["sil", "b", "sil"], PhonesFrom::Labels),
+                    clip("unknown", &[], PhonesFrom::Labels),
+                    clip("heard", &["sil", "b"], PhonesFrom::Recognised),
+                ],
+                skipped: Vec::new(),
+            },
+        };
+        let phones = phones_said(folder.split(Split::Train));
+        let said = std::sync::Mutex::new(Vec::new());
+        let clips = Clips::new(&folder, Split::Train, &phones, &|line: &str| {
+            said.lock().unwrap().push(line.to_owned());
+        });
+        assert_eq!(clips.ids().collect::<Vec<_>>(), ["labelled", "heard"]);
+        assert_eq!(clips.networks().count(), 2);
+        assert!(said.lock().unwrap()[0].contains("left out: clip unknown: nothing tells its phones"));
+        assert_eq!(Clips::unlabelled(&folder, Split::Train, &phones).len(), 3);
     }
 
     #[test]

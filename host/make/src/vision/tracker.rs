@@ -94,6 +94,9 @@ impl MouthTrack {
     }
 }
 
+/// The maps of every picture's rectangle once it follows the lips, what was seen of these, and their outline in every picture.
+type Followed = (Vec<Affine>, Option<LipsSeen>, Vec<Option<Outline>>);
+
 /// What is known of a speaker's face: enough to find the same mouth rectangle in any clip.
 pub struct Tracker {
     reference: Reference,
@@ -167,7 +170,7 @@ impl Tracker {
         view: &View,
         detector: &mut Detector,
         mut maps: Vec<Affine>,
-    ) -> Result<(Vec<Affine>, Option<LipsSeen>, Vec<Option<Outline>>)> {
+    ) -> Result<Followed> {
         let mouth = &self.reference.mouth;
         let Some(anchor) = mouth.anchor else {
             return Ok((maps, None, Vec::new()));

@@ -118,6 +118,26 @@ impl PhoneNetwork {
         Some(net)
     }
 
+    /// A transcript's network in which a pause between words may be `silence` too, as between sentences.
+    pub fn with_long_pauses(mut self, silence: usize) -> Self {
+        let count = self.nodes.len();
+        let at_an_end = |node: usize| self.exits.contains(&node) || self.entries.iter().any(|e| e.0 == node);
+        let pauses: Vec<usize> = (0..count)
+            .filter(|&node| self.words[node].is_none() && !at_an_end(node))
+            .collect();
+        for pause in pauses {
+            let twin = self.node(silence, None);
+            self.successors[twin] = self.successors[pause].clone();
+            for next in &mut self.successors[..count] {
+                if next.iter().any(|(node, _)| *node == pause) {
+                    next.push((twin, 0.0));
+                }
+            }
+        }
+        self.share_probability();
+        self
+    }
+
     /// A transcript's network in which any of the `first` words at the beginning, and any of the `last` at the end, may be left out.
     pub fn with_open_ends(mut self, first: usize, last: usize) -> Self {
         let (Some(&(begin, _)), Some(&end)) = (self.entries.first(), self.exits.first()) else {
@@ -233,6 +253,24 @@ mod tests {
         assert_eq!(net.successors[begin].len(), 2);
         assert!((net.successors[begin][0].1 - 0.5f32.ln()).abs() < 1e-6);
         assert_eq!(net.shortest(1), 5);
+    }
+
+    #[test]
+    fn a_pause_may_be_long() {
+        let words = [word(&[&["b"]]), word(&[&["d"], &["s"]])];
+        let all = |p: Phone| Some(usize::from(p.0));
+        let short = PhoneNetwork::transcript(&words, &all).unwrap();
+        let long = short.clone().with_long_pauses(0);
+        assert_eq!(long.nodes.len(), short.nodes.len() + 1);
+        let twin = long.nodes.len() - 1;
+        assert_eq!((long.nodes[twin], long.words[twin]), (0, None));
+        let b = (0..twin).find(|n| long.words[*n] == Some(0)).unwrap();
+        let after_b: Vec<usize> = long.successors[b].iter().map(|(n, _)| long.nodes[*n]).collect();
+        let phone = |name: &str| usize::from(Phone::from_name(name).unwrap().0);
+        assert_eq!(after_b, [phone("sp"), phone("d"), phone("s"), phone("sil")]);
+        assert_eq!(long.successors[twin].len(), 2);
+        let sum: f32 = long.successors[b].iter().map(|(_, w)| w.exp()).sum();
+        assert!((sum - 1.0).abs() < 1e-5);
     }
 
     #[test]
