@@ -7,9 +7,9 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 13] = [
-    "align", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "prompts", "record",
-    "render", "train", "view",
+const COMMANDS: [&str; 14] = [
+    "align", "convert", "cues", "demo", "evaluate", "export", "features", "mos", "prepare", "prompts",
+    "record", "render", "train", "view",
 ];
 
 fn path(path: &Path) -> String {

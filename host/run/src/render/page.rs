@@ -194,7 +194,10 @@ mod tests {
 
     #[test]
     fn it_says_that_it_is_synthetic() {
-        let said = format!("<meta name=\"description\" content=\"{}\">", super::super::SYNTHETIC);
+        let said = format!(
+            "<meta name=\"description\" content=\"{}\">",
+            super::super::SYNTHETIC
+        );
         assert!(page("hello.wav").contains(&said));
     }
 
