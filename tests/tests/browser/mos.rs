@@ -58,7 +58,8 @@ fn what_is_clicked_is_what_the_tables_say() {
     let mos::Made { html, key } = mos::make(&folder.path().join("clips"), "Two mouths").unwrap();
     let page = folder.path().join("page.html");
     std::fs::write(&page, html).unwrap();
-    let mut browser = Browser::open_plain(&format!("file://{}#seed=5", page.display()));
+    let url = format!("file://{}#seed=5", page.display());
+    let mut browser = Browser::open_plain(&url);
 
     let next_is = |browser: &mut Browser, what: &str| {
         browser.evaluate(&format!("document.getElementById('next').{what}"))
@@ -108,8 +109,7 @@ fn what_is_clicked_is_what_the_tables_say() {
         }
         if place == 4 {
             // Whoever closes the page goes on where he was.
-            browser.evaluate("window.before = true; location.reload()");
-            browser.wait("!window.before && window.lipstream");
+            browser.load(&url);
             assert_eq!(
                 browser.evaluate("document.getElementById('begin').textContent"),
                 "Go on"
