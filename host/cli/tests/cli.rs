@@ -7,8 +7,8 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 14] = [
-    "align", "check", "convert", "cues", "demo", "evaluate", "export", "features", "prepare", "prompts",
+const COMMANDS: [&str; 15] = [
+    "align", "check", "convert", "cues", "demo", "evaluate", "export", "features", "mos", "prepare", "prompts",
     "record", "render", "train", "view",
 ];
 

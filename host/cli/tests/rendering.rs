@@ -115,6 +115,27 @@ fn the_same_input_gives_the_same_bytes() {
     assert_eq!(read("a.mp4"), read("b.mp4"));
 }
 
+/// Whoever looks at a file can tell that nobody was filmed.
+#[test]
+fn films_say_that_they_are_synthetic() {
+    let desk = Desk::new();
+    for name in ["o.mp4", "sound.mp4", "o.mkv"] {
+        let mut words = vec!["p.npy", "-m", "mouth.safetensors", "-o", name, "--scale", "1"];
+        if name == "sound.mp4" {
+            words.extend(["--audio", "s.wav"]);
+        }
+        desk.render(&words).unwrap();
+        let said = std::process::Command::new("ffprobe")
+            .args(["-v", "error", "-show_format"])
+            .arg(desk.path(name))
+            .output()
+            .expect("run ffprobe, which comes with ffmpeg");
+        let said = String::from_utf8(said.stdout).unwrap().to_lowercase();
+        let want = format!("tag:comment={}", lipstream::render::SYNTHETIC.to_lowercase());
+        assert!(said.contains(&want), "{name}: {said}");
+    }
+}
+
 #[test]
 fn bad_input_gets_one_line() {
     let desk = Desk::new();

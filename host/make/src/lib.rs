@@ -33,6 +33,7 @@ pub mod evaluate;
 pub mod features;
 mod hash;
 pub mod mge;
+pub mod mos;
 pub mod noise;
 pub mod shelf;
 pub mod train;

@@ -134,3 +134,31 @@ impl MouthSpace {
         Ok(space)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::render::drawn;
+
+    #[test]
+    fn both_ways_to_an_image_agree() {
+        for size in [2, 4, 7, 30] {
+            let space = drawn::space(size);
+            let weights = Array1::from_shape_fn(space.size(), |k| 40.0 * (k as f32 * 1.7).sin());
+            let want = space.expand(weights.view());
+            // A basis that does not lie row after row as well.
+            let turned = MouthSpace {
+                basis: space.basis.t().to_owned().reversed_axes(),
+                ..space.clone()
+            };
+            assert!(turned.basis.as_slice().is_none());
+            for space in [space, turned] {
+                let mut image = vec![f32::NAN; want.len()];
+                space.expand_into(weights.view(), &mut image);
+                for (have, want) in image.iter().zip(&want) {
+                    assert!((have - want).abs() < 1e-3, "{size}: {have} {want}");
+                }
+            }
+        }
+    }
+}

@@ -97,9 +97,16 @@ impl Browser {
         for domain in ["Page", "Runtime", "Log", "HeapProfiler"] {
             browser.ask(&format!("{domain}.enable"), json!({}));
         }
-        browser.ask("Page.navigate", json!({ "url": url }));
-        browser.wait("typeof window.lipstream === 'object'");
+        browser.load(url);
         browser
+    }
+
+    /// Opens `url`, anew if it is open already.
+    pub(crate) fn load(&mut self, url: &str) {
+        // From a page to itself it would only scroll.
+        self.ask("Page.navigate", json!({ "url": "about:blank" }));
+        self.ask("Page.navigate", json!({ "url": url }));
+        self.wait("typeof window.lipstream === 'object'");
     }
 
     /// The browser's first process.

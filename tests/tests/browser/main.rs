@@ -1,10 +1,11 @@
-//! The page of `lipstream view` in a real browser, against the firmware in QEMU, a recording and the model in this process.
+//! The page of `lipstream view` in a real browser, against the firmware in QEMU, a recording and the model in this process; and that of `lipstream mos`.
 #[path = "../common/mod.rs"]
 #[allow(dead_code, reason = "the tests of the firmware use more of it")]
 mod common;
 
 #[allow(dead_code, reason = "the benchmark uses more of it")]
 mod chromium;
+mod mos;
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};

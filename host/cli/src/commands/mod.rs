@@ -14,6 +14,7 @@ mod demo;
 mod evaluate;
 mod export;
 mod features;
+mod mos;
 mod prepare;
 mod prompts;
 mod record;
@@ -43,6 +44,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Mos(mos::Args),
     Prepare(prepare::Args),
     Prompts(prompts::Args),
     Record(record::Args),
@@ -62,6 +64,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Mos(args) => mos::run(args),
         Command::Prepare(args) => prepare::run(args),
         Command::Prompts(args) => prompts::run(args),
         Command::Record(args) => record::run(args),

@@ -123,7 +123,7 @@ impl Resampled {
 }
 
 /// The middle 95 % of some numbers, linear between ranks.
-fn middle(mut values: Vec<f64>) -> (f64, f64) {
+pub(crate) fn middle(mut values: Vec<f64>) -> (f64, f64) {
     values.sort_by(f64::total_cmp);
     let at = |share: f64| {
         let Some(last) = values.len().checked_sub(1) else {
