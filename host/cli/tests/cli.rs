@@ -8,8 +8,8 @@ use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
 const COMMANDS: [&str; 15] = [
-    "align", "check", "convert", "cues", "demo", "evaluate", "export", "features", "mos", "prepare", "prompts",
-    "record", "render", "train", "view",
+    "align", "check", "convert", "cues", "demo", "evaluate", "export", "features", "mos", "prepare",
+    "prompts", "record", "render", "train", "view",
 ];
 
 fn path(path: &Path) -> String {

@@ -114,7 +114,10 @@ pub fn check(path: &Path, settings: &CheckSettings, progress: &dyn Progress) -> 
         light,
         framing,
         sharpness,
-        phones: PhoneReport::beside(path, sound.seconds)?,
+        phones: match PhoneReport::beside(path, sound.seconds)? {
+            Some(said) => Some(said),
+            None => PhoneReport::heard(&samples)?,
+        },
         sound,
         sync,
         stillness,

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use crate::align::recognise::Recogniser;
 use crate::corpus::labels::{self, Labels, transcript};
 use crate::corpus::pronounce::Pronouncer;
 use crate::corpus::take;
@@ -58,6 +59,20 @@ impl PhoneReport {
                 .map(|(phone, count)| (phone.name().to_owned(), *count))
                 .collect(),
         }
+    }
+
+    /// Counts what the shipped model hears in 16 kHz mono samples; None where they are too short to hear anything in.
+    ///
+    /// It errs: of talkers whom it has not heard three in five phones (`docs/alignment.md`), so that counts are rough, and a rare phone may be another.
+    pub(crate) fn heard(samples: &[i16]) -> Result<Option<Self>> {
+        let Ok(heard) = Recogniser::shipped()?.recognise(samples) else {
+            return Ok(None);
+        };
+        let phones = heard.phones.iter().map(|spoken| spoken.phone);
+        Ok(Some(Self::of(
+            phones,
+            "as far as the shipped model hears; a transcript beside the video tells exactly",
+        )))
     }
 
     /// Counts what stands beside a video of `seconds`: subtitles, else labels or a transcript of the same name; None where there are none.

@@ -120,7 +120,7 @@ pub(super) fn judge(report: &Report) -> (Vec<Verdict>, Grade) {
         Some(phones) => said(phones),
         None => untold(
             "phones",
-            "there is no transcript beside the video (.srt, .vtt, .txt), so that its phones cannot be counted",
+            "there is no transcript beside the video (.srt, .vtt, .txt), and its sound is too short to hear phones in",
             "read aloud sentences that have every sound of English",
         ),
     });
