@@ -72,6 +72,7 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
             seen.add(&clip, &mut footage, &space, settings)?;
         }
     }
+    println!("{}\n", joins(&mut footage, &space)?);
     println!(
         "| drawn | lips off | gap: correlation, off | width: correlation | jaw: correlation, off | seam, drawn : background |\n|---|---|---|---|---|---|"
     );

@@ -134,7 +134,7 @@ pub fn decode(path: &Path) -> Result<Frames> {
 /// [`decode`], of a part of it where one is given.
 pub fn decode_part(path: &Path, part: Option<Part>) -> Result<Frames> {
     let rate = picture_rate(path, probe(path)?)?;
-    let (width, height, rgb) = through_ffmpeg(path, &rate, part, MAX_LINES, |out| read_pictures(out))?;
+    let (width, height, rgb) = through_ffmpeg(path, &rate, part, MAX_LINES, read_pictures)?;
     if rgb.is_empty() {
         return Err(VideoError::Refused(format!(
             "ffmpeg finds no picture in {}",

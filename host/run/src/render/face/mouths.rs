@@ -292,7 +292,7 @@ fn openings(footage: &Footage, pictures: &[usize]) -> Option<(Vec<usize>, Array2
 fn scaled(openings: Array2<f32>, levels: usize) -> Array2<f32> {
     let weights =
         [GAP_LEVELS, WIDTH_LEVELS, 2.0 * TURNED_LEVELS].map(|weight| weight * (levels as f32).sqrt());
-    openings * &ArrayView1::from(&weights)
+    openings * ArrayView1::from(&weights)
 }
 
 /// Draws in the recording's rectangle what is of the model's.
