@@ -5,7 +5,7 @@ use std::path::Path;
 
 use lipstream::affine::Affine;
 use lipstream::progress::{Progress, Steps};
-use lipstream::render::face::{Footage, Jaw, Pictures, Place};
+use lipstream::render::face::{Edge, Footage, Jaw, Pictures, Place};
 use lipstream_media::video::{self, Frames, Part, VideoError};
 use rayon::prelude::*;
 
@@ -261,7 +261,9 @@ fn places(seen: Vec<Seen>) -> Vec<Place> {
             jaw: steady(at),
             turned: seen[at].turned,
             lips: seen[at].lips,
-            sides: seen[at].points.map(|[_, _, left, right]| (left.0, right.0)),
+            edge: seen[at]
+                .points
+                .map(|[_, chin, left, right]| Edge { left, right, chin }),
         })
         .collect()
 }

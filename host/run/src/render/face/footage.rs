@@ -105,21 +105,43 @@ pub struct Place {
     pub turned: f32,
     /// Gap between the inner lips and distance of the lips' corners, over the distance between the eyes; None where no landmarks are seen.
     pub lips: Option<(f32, f32)>,
-    /// Left and right edge of the face at the height of the lips, in pixels of the mouth's rectangle; None where no landmarks are seen.
-    pub sides: Option<(f32, f32)>,
+    /// Where the face ends; None where no landmarks are seen.
+    pub edge: Option<Edge>,
+}
+
+/// Points of a face's edge in pixels of the mouth's rectangle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Edge {
+    /// At the height of the lips, left in the picture.
+    pub left: (f32, f32),
+    /// The same on the right.
+    pub right: (f32, f32),
+    /// The tip of the chin.
+    pub chin: (f32, f32),
+}
+
+impl Edge {
+    /// Left and right edge in a row: from the lips to the chin the face narrows as a parabola does.
+    fn at(&self, y: f32) -> (f32, f32) {
+        let lips = 0.5 * (self.left.1 + self.right.1);
+        let down = ((y - lips) / (self.chin.1 - lips).max(1.0)).clamp(0.0, 1.0);
+        let towards_chin = |x: f32| x + NARROWS * down * down * (self.chin.0 - x);
+        (towards_chin(self.left.0), towards_chin(self.right.0))
+    }
 }
 
 impl Place {
-    /// How much a column of the mouth's rectangle belongs to the face, 0..=1: what lies beyond its edge is hair, or the wall.
-    pub fn on_face(&self, x: f32) -> f32 {
-        let Some((left, right)) = self.sides else {
-            return 1.0;
-        };
-        let soft = EDGE * (right - left);
+    /// How much a place of the mouth's rectangle belongs to the face, 0..=1: what lies beyond its edge is hair, or the wall.
+    pub fn on_face(&self, x: f32, y: f32) -> f32 {
+        let Some(edge) = &self.edge else { return 1.0 };
+        let (left, right) = edge.at(y);
+        let soft = EDGE * (edge.right.0 - edge.left.0);
         ((x - left) / soft).min((right - x) / soft).clamp(0.0, 1.0)
     }
 }
 
+/// At the chin a face is narrower by this share than at the lips.
+const NARROWS: f32 = 0.55;
 /// Landmarks of the edge tremble, and near it a cheek turns away: so much of the face's width is no longer wholly on it.
 const EDGE: f32 = 0.08;
 
@@ -168,6 +190,32 @@ impl Footage {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_face_narrows_towards_the_chin() {
+        let edge = Edge {
+            left: (-20.0, 20.0),
+            right: (80.0, 20.0),
+            chin: (30.0, 60.0),
+        };
+        assert_eq!(edge.at(0.0), (-20.0, 80.0));
+        assert_eq!(edge.at(60.0), edge.at(90.0));
+        let place = Place {
+            mouth: Affine::IDENTITY,
+            jaw: None,
+            turned: 0.0,
+            lips: None,
+            edge: Some(edge),
+        };
+        for (x, y, share) in [
+            (30.0, 60.0, 1.0),
+            (-14.0, 20.0, 0.75),
+            (-14.0, 60.0, 0.0),
+            (85.0, 10.0, 0.0),
+        ] {
+            assert_eq!(place.on_face(x, y), share, "{x} {y}");
+        }
+    }
 
     #[test]
     fn pictures_come_back_in_any_order() {

@@ -160,7 +160,7 @@ impl Region {
     }
 
     /// Clones `source` (at a place of the mouth's rectangle) into `picture`, in which `map` says where the mouth's rectangle lies. `share` says how much of the source is
-    /// shown in a column of the rectangle, 0..=1; where that is nothing the border says nothing of the light either.
+    /// shown at a place of the rectangle, 0..=1; where that is nothing the border says nothing of the light either.
     ///
     /// Where the map is singular nothing is drawn.
     pub fn stitch(
@@ -168,7 +168,7 @@ impl Region {
         picture: &mut [u8],
         (width, height): (usize, usize),
         map: &Affine,
-        share: impl Fn(f32) -> f32,
+        share: impl Fn(f32, f32) -> f32,
         source: impl Fn(f32, f32) -> [f32; 3],
     ) {
         let Some(back) = map.inverse() else { return };
@@ -181,7 +181,7 @@ impl Region {
             };
             self.membrane.lay(|x, y| {
                 let (x, y) = (x as f32 + ox, y as f32 + oy);
-                if share(x) < 0.5 {
+                if share(x, y) < 0.5 {
                     return None;
                 }
                 let (px, py) = map.apply(x, y);
@@ -213,7 +213,7 @@ impl Region {
         for py in top..bottom {
             for px in left..right {
                 let (x, y) = back.apply(px as f32, py as f32);
-                let opacity = self.opacity(x, y) * share(x);
+                let opacity = self.opacity(x, y) * share(x, y);
                 if opacity <= 0.0 {
                     continue;
                 }
@@ -276,7 +276,7 @@ mod tests {
             &mut drawn,
             (width, height),
             &map,
-            |_| 1.0,
+            |_, _| 1.0,
             |x: f32, y: f32| {
                 let (px, py) = map.apply(x, y);
                 let [r, g, b] = from.sample(px, py);
@@ -300,7 +300,7 @@ mod tests {
             &mut drawn,
             (width, height),
             &map,
-            |_| 1.0,
+            |_, _| 1.0,
             |x: f32, y: f32| {
                 let hole = ((x - 15.5).powi(2) + (y - 11.5).powi(2) < 25.0).then_some(20.0);
                 [hole.unwrap_or(200.0), 30.0, 30.0]
@@ -326,7 +326,7 @@ mod tests {
             &mut same,
             (width, height),
             &Affine::scaled(0.0, 1.0, 1.0),
-            |_| 1.0,
+            |_, _| 1.0,
             |_, _| [0.0; 3],
         );
         assert_eq!(same, rgb);

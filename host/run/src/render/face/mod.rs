@@ -17,7 +17,7 @@ mod mouths;
 mod scene;
 
 pub use course::{Course, Moment};
-pub use footage::{Footage, Jaw, Pictures, Place};
+pub use footage::{Edge, Footage, Jaw, Pictures, Place};
 pub use jaw::JawBy;
 pub use layer::{Bytes, Floats, Region, Sampled};
 pub use membrane::Membrane;

@@ -290,7 +290,7 @@ impl Scene for FaceScene<'_> {
             let mut lender = Vec::new();
             self.footage.pictures.read(*picture, &mut lender)?;
             let there = &self.footage.places[*picture];
-            let share = |x: f32| here.on_face(x).min(there.on_face(x));
+            let share = |x: f32, y: f32| here.on_face(x, y).min(there.on_face(x, y));
             let from = Bytes {
                 rgb: &lender,
                 width: size.0,
@@ -309,7 +309,7 @@ impl Scene for FaceScene<'_> {
             height: self.footage.mouth.1 * sharp,
         };
         let fine = |at: f32| (at + 0.5) * sharp as f32 - 0.5;
-        let share = |x: f32| here.on_face(x);
+        let share = |x: f32, y: f32| here.on_face(x, y);
         self.region.stitch(&mut rgb, size, &map, share, |x, y| {
             mouth.sample_cubic(fine(x), fine(y))
         });

@@ -62,7 +62,11 @@ fn recording(count: usize, darker: f32) -> Footage {
             jaw: Some(1.0 + 0.2 * pose(n).open),
             turned: 0.0,
             lips: Some((0.2 * pose(n).open, 0.6 - 0.1 * pose(n).round)),
-            sides: Some((-14.0, 77.0)),
+            edge: Some(Edge {
+                left: (-14.0, 30.0),
+                right: (77.0, 30.0),
+                chin: (31.5, 60.0),
+            }),
         });
     }
     Footage {
