@@ -148,7 +148,7 @@ mod tests {
             let want = space.expand(weights.view());
             // A basis that does not lie row after row as well.
             let turned = MouthSpace {
-                basis: space.basis.t().to_owned().reversed_axes(),
+                basis: space.basis.t().as_standard_layout().into_owned().reversed_axes(),
                 ..space.clone()
             };
             assert!(turned.basis.as_slice().is_none());
