@@ -25,7 +25,7 @@ const MOST_MOUTHS: usize = 1500;
 /// Mouths of a recording are drawn with at most so many pixels for one of the rectangle's.
 const MOST_SHARP: usize = 4;
 /// The model's eigenmouths say at least so much of the variance of a recording of whom it was trained on (measured: docs/rendering.md).
-const OWN: f32 = 0.5;
+const OWN: f32 = 0.72;
 /// A mouth that is closed instead of wide open is as bad as a change of so many levels in every pixel; the same for one that is narrow instead of wide.
 const GAP_LEVELS: f32 = 60.0;
 const WIDTH_LEVELS: f32 = 15.0;
