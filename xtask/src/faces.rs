@@ -202,7 +202,8 @@ impl Seen {
                 let view = |of| ArrayView3::from_shape((height, width, 3), of);
                 let inside = |x: usize, y: usize| {
                     let (u, v) = back.apply(x as f32, y as f32);
-                    scene.covers(u, v)
+                    // In the middle of the soft edge, where half is drawn and half recorded.
+                    scene.opacity(u, v) > 0.5
                 };
                 let (a, b) = seam(view(&drawn)?, view(&plain)?, inside);
                 self.steps = (self.steps.0 + a * a, self.steps.1 + b * b);

@@ -172,13 +172,10 @@ impl<'a> FaceScene<'a> {
         self.background(self.course.at(middle(n, self.fps)))
     }
 
-    /// Whether something is drawn at a place of the mouth's rectangle.
-    pub fn covers(&self, x: f32, y: f32) -> bool {
-        let jaw = self
-            .jaws
-            .as_ref()
-            .is_some_and(|jaws| jaws.region.opacity(x, y) > 0.0);
-        jaw || self.region.opacity(x, y) > 0.0
+    /// How much of a place of the mouth's rectangle is drawn, 0..=1; the edges of a turned head are not looked at.
+    pub fn opacity(&self, x: f32, y: f32) -> f32 {
+        let jaw = self.jaws.as_ref().map_or(0.0, |jaws| jaws.region.opacity(x, y));
+        jaw.max(self.region.opacity(x, y))
     }
 
     /// The background at a moment, and where the mouth's rectangle lies in it.
