@@ -27,25 +27,33 @@ pub(super) enum Source {
     Speech(Box<Engine>),
 }
 
-/// The sound to it.
-pub(super) enum Sound {
-    None,
+/// The sound to it, whose length is found once: a file is read to its end for that.
+pub(super) struct Sound {
+    kept: Kept,
+    /// Number of samples, where there is a sound.
+    length: Option<usize>,
+}
+
+/// Where a sound is.
+enum Kept {
+    Nowhere,
     Samples(Vec<i16>),
     File(PathBuf),
 }
 
 impl Sound {
-    pub(super) fn track(&self) -> Option<Soundtrack<'_>> {
-        match self {
-            Sound::None => None,
-            Sound::Samples(samples) => Some(Soundtrack::Samples(samples)),
-            Sound::File(path) => Some(Soundtrack::File(path)),
-        }
+    fn new(kept: Kept) -> Result<Self> {
+        let mut sound = Self { kept, length: None };
+        sound.length = sound.track().map(|track| track.samples()).transpose()?;
+        Ok(sound)
     }
 
-    /// Number of samples, where there is a sound.
-    pub(super) fn length(&self) -> Result<Option<usize>> {
-        Ok(self.track().map(|track| track.samples()).transpose()?)
+    pub(super) fn track(&self) -> Option<Soundtrack<'_>> {
+        match &self.kept {
+            Kept::Nowhere => None,
+            Kept::Samples(samples) => Some(Soundtrack::Samples(samples)),
+            Kept::File(path) => Some(Soundtrack::File(path)),
+        }
     }
 }
 
@@ -55,19 +63,20 @@ pub(super) fn open(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
         "stream" => of_stream(args, tensors),
         "npy" => {
             let sound = match &args.audio {
-                Some(path) => Sound::Samples(read_sound(path)?),
-                None => Sound::None,
+                Some(path) => Kept::Samples(read_sound(path)?),
+                None => Kept::Nowhere,
             };
-            Ok((Source::Parameters(parameters::read(&args.input)?), sound))
+            let source = Source::Parameters(parameters::read(&args.input)?);
+            Ok((source, Sound::new(sound)?))
         }
         _ => {
             // What can be read only once is kept.
             let sound = match args.input.is_file() {
-                true => Sound::File(args.input.clone()),
-                false => Sound::Samples(read_sound(&args.input)?),
+                true => Kept::File(args.input.clone()),
+                false => Kept::Samples(read_sound(&args.input)?),
             };
             // A sound that cannot be read is named before the model is made ready.
-            sound.length()?;
+            let sound = Sound::new(sound)?;
             let engine = Engine::open(&args.model, args.engine.into())?;
             Ok((Source::Speech(Box::new(engine)), sound))
         }
@@ -80,11 +89,11 @@ fn of_stream(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
     check_model(tensors, &args.model, recording.hello().model)?;
     let beside = args.input.with_extension("wav");
     let sound = match &args.audio {
-        Some(path) => Sound::File(path.clone()),
-        None if beside.is_file() => Sound::File(beside),
-        None => Sound::None,
+        Some(path) => Kept::File(path.clone()),
+        None if beside.is_file() => Kept::File(beside),
+        None => Kept::Nowhere,
     };
-    Ok((Source::Stream(Box::new(recording)), sound))
+    Ok((Source::Stream(Box::new(recording)), Sound::new(sound)?))
 }
 
 /// A stream can only be drawn with the mouth of the model that it came from.
@@ -113,7 +122,7 @@ impl Source {
         scene: &mut dyn Scene,
         mut each: impl FnMut(&[u8]) -> Result<()>,
     ) -> Result<usize> {
-        let length = sound.length()?;
+        let length = sound.length;
         match self {
             Source::Parameters(tracks) => {
                 render::play(scene, tracks.view(), args.fps, length, each, &Terminal::default())
@@ -143,8 +152,9 @@ fn of_speech(
     scene: &mut dyn Scene,
     mut each: impl FnMut(&[u8]) -> Result<()>,
 ) -> Result<usize> {
-    let Some(track) = sound.track() else { return Ok(0) };
-    let length = track.samples()?;
+    let (Some(track), Some(length)) = (sound.track(), sound.length) else {
+        return Ok(0);
+    };
     let all = render::length(length, args.fps);
     let mut session = engine.session(&RunSettings::default())?;
     let mut player = Player::new(scene, args.fps, Some(length));
