@@ -4,6 +4,7 @@
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 
+use super::raster::Bytes;
 use crate::affine::Affine;
 use crate::error::{Context as _, Result, bail};
 
@@ -71,12 +72,12 @@ impl Pictures {
         Ok(())
     }
 
-    /// Reads one, `[height, width, 3]`.
+    /// Reads one into `rgb`, `[height, width, 3]`, and gives it to sample from.
     ///
     /// # Errors
     ///
     /// That there is none of this number, or the file cannot be read.
-    pub fn read(&mut self, index: usize, rgb: &mut Vec<u8>) -> Result<()> {
+    pub fn read<'r>(&mut self, index: usize, rgb: &'r mut Vec<u8>) -> Result<Bytes<'r>> {
         if index >= self.count {
             bail!(
                 Data,
@@ -89,7 +90,12 @@ impl Pictures {
         self.file
             .seek(SeekFrom::Start((index * size) as u64))
             .and_then(|_| self.file.read_exact(rgb))
-            .context("cannot read a background's picture back")
+            .context("cannot read a background's picture back")?;
+        Ok(Bytes {
+            rgb,
+            width: self.width,
+            height: self.height,
+        })
     }
 }
 

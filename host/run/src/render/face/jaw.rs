@@ -6,7 +6,8 @@
 use ndarray::{Array1, Array2, ArrayView2, Axis};
 
 use super::footage::{Footage, Jaw};
-use super::layer::{Bytes, Region, Sampled};
+use super::layer::Region;
+use super::raster::spread;
 use crate::error::Result;
 use crate::render::refine::{CANDIDATES, Candidates, Choice};
 
@@ -125,7 +126,7 @@ impl Jaws {
         let mut order: Vec<usize> = (0..energy.len()).collect();
         order.sort_by(|a, b| energy[*a].total_cmp(&energy[*b]));
         let mut wanted = vec![0.0; energy.len()];
-        let last = (energy.len() - 1).max(1);
+        let last = energy.len().saturating_sub(1).max(1);
         for (rank, at) in order.into_iter().enumerate() {
             wanted[at] = self.sorted[rank * (self.sorted.len() - 1) / last];
         }
@@ -144,13 +145,6 @@ impl Jaws {
             .choose(tracks.view(), Choice::OverTime { change: 1.0 });
         chosen.into_iter().map(|at| self.pictures[at]).collect()
     }
-}
-
-/// Mean and standard deviation.
-fn spread(values: impl Iterator<Item = f32> + Clone) -> (f32, f32) {
-    let n = (values.clone().count() as f32).max(1.0);
-    let mean = values.clone().sum::<f32>() / n;
-    (mean, (values.map(|v| (v - mean).powi(2)).sum::<f32>() / n).sqrt())
 }
 
 /// Jaw and turning as numbers whose squares are in the unit of the thumbnails' squared differences.
@@ -186,14 +180,8 @@ fn region(outline: &Jaw, mouth: (usize, usize)) -> Region {
 
 /// A lower face in few pixels, without its own mean level.
 fn thumbnail(footage: &mut Footage, picture: usize, outline: &Jaw) -> Result<Array1<f32>> {
-    let (width, height) = footage.pictures.size();
     let mut rgb = Vec::new();
-    footage.pictures.read(picture, &mut rgb)?;
-    let from = Bytes {
-        rgb: &rgb,
-        width,
-        height,
-    };
+    let from = footage.pictures.read(picture, &mut rgb)?;
     let map = footage.places[picture].mouth;
     let mut levels = Vec::with_capacity(THUMB.0 * THUMB.1 * 3);
     for y in 0..THUMB.1 {

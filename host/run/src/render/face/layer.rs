@@ -1,106 +1,8 @@
-//! Pictures to sample from, and a layer that is cloned into one.
+//! A layer that is cloned into a picture.
 use crate::affine::Affine;
 
 use super::membrane::Membrane;
-
-/// Rows of interleaved R, G, B, in levels of 0..255, sampled between pixels whose centres lie at whole numbers.
-pub trait Sampled {
-    /// Width and height.
-    fn size(&self) -> (usize, usize);
-
-    /// The pixel at a place inside.
-    fn pixel(&self, x: usize, y: usize) -> [f32; 3];
-
-    /// Bilinear, the nearest border outside.
-    fn sample(&self, x: f32, y: f32) -> [f32; 3] {
-        let (width, height) = self.size();
-        let x = x.clamp(0.0, (width - 1) as f32);
-        let y = y.clamp(0.0, (height - 1) as f32);
-        let (left, top) = (x as usize, y as usize);
-        let (right, bottom) = ((left + 1).min(width - 1), (top + 1).min(height - 1));
-        let (u, v) = (x - left as f32, y - top as f32);
-        let [a, b] = [self.pixel(left, top), self.pixel(right, top)];
-        let [c, d] = [self.pixel(left, bottom), self.pixel(right, bottom)];
-        std::array::from_fn(|k| {
-            let (above, below) = (a[k] + u * (b[k] - a[k]), c[k] + u * (d[k] - c[k]));
-            above + v * (below - above)
-        })
-    }
-
-    /// Catmull-Rom's cubic, the nearest border outside: keeps the sharpness that bilinear sampling loses.
-    fn sample_cubic(&self, x: f32, y: f32) -> [f32; 3] {
-        let (width, height) = self.size();
-        let (left, top) = (x.floor(), y.floor());
-        let (across, down) = (catmull_rom(x - left), catmull_rom(y - top));
-        let place =
-            |at: f32, k: usize, most: usize| (at as i64 + k as i64 - 1).clamp(0, most as i64 - 1) as usize;
-        let mut sum = [0.0f32; 3];
-        for (j, v) in down.iter().enumerate() {
-            let row = place(top, j, height);
-            for (i, u) in across.iter().enumerate() {
-                let pixel = self.pixel(place(left, i, width), row);
-                for c in 0..3 {
-                    sum[c] += u * v * pixel[c];
-                }
-            }
-        }
-        sum
-    }
-}
-
-/// Weights of the four neighbours of a place `t` behind the second.
-fn catmull_rom(t: f32) -> [f32; 4] {
-    [
-        0.5 * (-t + 2.0 * t * t - t * t * t),
-        0.5 * (2.0 - 5.0 * t * t + 3.0 * t * t * t),
-        0.5 * (t + 4.0 * t * t - 3.0 * t * t * t),
-        0.5 * (t * t * t - t * t),
-    ]
-}
-
-/// A picture of bytes.
-#[derive(Clone, Copy)]
-pub struct Bytes<'a> {
-    /// `[height, width, 3]`.
-    pub rgb: &'a [u8],
-    /// Pixels in a row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-}
-
-impl Sampled for Bytes<'_> {
-    fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
-    }
-
-    fn pixel(&self, x: usize, y: usize) -> [f32; 3] {
-        let at = 3 * (y * self.width + x);
-        std::array::from_fn(|c| f32::from(self.rgb[at + c]))
-    }
-}
-
-/// A picture of floats.
-#[derive(Clone, Copy)]
-pub struct Floats<'a> {
-    /// `[height, width, 3]`.
-    pub rgb: &'a [f32],
-    /// Pixels in a row.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-}
-
-impl Sampled for Floats<'_> {
-    fn size(&self) -> (usize, usize) {
-        (self.width, self.height)
-    }
-
-    fn pixel(&self, x: usize, y: usize) -> [f32; 3] {
-        let at = 3 * (y * self.width + x);
-        std::array::from_fn(|c| self.rgb[at + c])
-    }
-}
+use super::raster::Bytes;
 
 /// A region of a layer that is cloned into pictures, soft over the last pixels inside its edge.
 #[derive(Clone, Debug)]
@@ -237,23 +139,6 @@ mod tests {
         (0..width * height)
             .flat_map(|at| level(at % width, at / width))
             .collect()
-    }
-
-    #[test]
-    fn a_cubic_keeps_planes_and_pixels() {
-        let rgb = picture(12, 10, |x, y| [(10 * x + 3 * y) as u8, 7, (x * x) as u8]);
-        let bytes = Bytes {
-            rgb: &rgb,
-            width: 12,
-            height: 10,
-        };
-        for (x, y) in [(3.0, 4.0), (5.25, 4.5), (8.9, 7.3)] {
-            let [plane, flat, _] = bytes.sample_cubic(x, y);
-            assert!((plane - 10.0 * x - 3.0 * y).abs() < 1e-3 && (flat - 7.0).abs() < 1e-4);
-        }
-        assert!((bytes.sample_cubic(4.0, 5.0)[2] - 16.0).abs() < 1e-4);
-        // A parabola is kept too: bilinear sampling would say 30.5.
-        assert!((bytes.sample_cubic(5.5, 5.0)[2] - 30.25).abs() < 0.01);
     }
 
     /// What is cloned into the very picture that it comes from, in other light, gives that picture back.

@@ -14,14 +14,16 @@ mod jaw;
 mod layer;
 mod membrane;
 mod mouths;
+mod raster;
 mod scene;
 
 pub use course::{Course, Moment};
 pub use footage::{Edge, Footage, Jaw, Pictures, Place};
 pub use jaw::JawBy;
-pub use layer::{Bytes, Floats, Region, Sampled};
+pub use layer::Region;
 pub use membrane::Membrane;
 pub use mouths::{Fit, Mouths, Whose};
+pub use raster::{Bytes, Floats, Raster};
 pub use scene::{FaceScene, FaceSettings, Wanted};
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
 use super::footage::Footage;
-use super::layer::{Bytes, Floats, Sampled};
+use super::raster::{Floats, coarse_at, luminance, spread};
 use crate::affine::Affine;
 use crate::error::{Result, bail};
 use crate::mouth::MouthSpace;
@@ -261,17 +261,8 @@ fn openings(footage: &Footage, pictures: &[usize]) -> Option<(Vec<usize>, Array2
     if seen.len() < 10 || 2 * seen.len() < pictures.len() {
         return None;
     }
-    let n = seen.len() as f32;
-    let spread = |of: fn(&(f32, f32)) -> f32| {
-        let mean = seen.iter().map(|(_, lips)| of(lips)).sum::<f32>() / n;
-        let square = seen
-            .iter()
-            .map(|(_, lips)| (of(lips) - mean).powi(2))
-            .sum::<f32>()
-            / n;
-        (mean, square.sqrt())
-    };
-    let (gap, width) = (spread(|lips| lips.0), spread(|lips| lips.1));
+    let of_lips = |of: fn(&(f32, f32)) -> f32| spread(seen.iter().map(move |(_, lips)| of(lips)));
+    let (gap, width) = (of_lips(|lips| lips.0), of_lips(|lips| lips.1));
     let mut gaps: Vec<f32> = seen.iter().map(|(_, lips)| lips.0).collect();
     gaps.sort_by(f32::total_cmp);
     // Lips that meet have a gap of nothing, but for what landmarks tremble.
@@ -336,7 +327,7 @@ impl Brush {
                 let (u, v) = self
                     .fit
                     .to_model
-                    .apply(small_at(x, self.sharp), small_at(y, self.sharp));
+                    .apply(coarse_at(x, self.sharp), coarse_at(y, self.sharp));
                 out.extend(levels(of_model.sample_cubic(u, v)));
             }
         }
@@ -367,11 +358,6 @@ impl Brush {
     }
 }
 
-/// Where pixel `at` of a picture that is `sharp` times as fine lies, in pixels of the coarse one.
-fn small_at(at: usize, sharp: usize) -> f32 {
-    (at as f32 + 0.5) / sharp as f32 - 0.5
-}
-
 /// A picture of `size` reduced by `sharp`, each pixel the mean of what it covers.
 fn small(image: &Array1<f32>, size: (usize, usize), sharp: usize) -> Vec<f32> {
     let (width, height) = (size.0 / sharp, size.1 / sharp);
@@ -387,21 +373,15 @@ fn small(image: &Array1<f32>, size: (usize, usize), sharp: usize) -> Vec<f32> {
 
 /// The mouths of some pictures of a recording, `[n, height·sharp·width·sharp·3]`.
 fn sampled(footage: &mut Footage, pictures: &[usize], sharp: usize) -> Result<Array2<u8>> {
-    let (width, height) = footage.pictures.size();
     let (across, down) = (footage.mouth.0 * sharp, footage.mouth.1 * sharp);
     let mut out = Array2::zeros((pictures.len(), across * down * 3));
     let mut rgb = Vec::new();
     for (index, mut row) in pictures.iter().zip(out.outer_iter_mut()) {
-        footage.pictures.read(*index, &mut rgb)?;
-        let picture = Bytes {
-            rgb: &rgb,
-            width,
-            height,
-        };
+        let picture = footage.pictures.read(*index, &mut rgb)?;
         let map = footage.places[*index].mouth;
         let places = (0..down).flat_map(|y| (0..across).map(move |x| (x, y)));
         for ((x, y), pixel) in places.zip(row.exact_chunks_mut(3)) {
-            let (px, py) = map.apply(small_at(x, sharp), small_at(y, sharp));
+            let (px, py) = map.apply(coarse_at(x, sharp), coarse_at(y, sharp));
             let levels = picture.sample(px, py);
             for (to, from) in pixel.into_iter().zip(levels) {
                 *to = from.round() as u8;
@@ -473,7 +453,7 @@ fn common<'a>(
     model: &'a Floats,
     map: &'a Affine,
 ) -> impl Iterator<Item = ([f32; 3], [f32; 3])> + 'a {
-    let (width, height) = recording.size();
+    let (width, height) = (recording.width, recording.height);
     let (right, bottom) = (model.width as f32 - 1.0, model.height as f32 - 1.0);
     let places = (0..height)
         .step_by(2)
@@ -487,18 +467,16 @@ fn common<'a>(
 
 /// Correlation of the luminances of a recording's rectangle and the model's.
 fn likeness(recording: &Floats, model: &Floats, map: &Affine) -> f32 {
-    let grey = |[r, g, b]: [f32; 3]| 0.299 * r + 0.587 * g + 0.114 * b;
     let (mut n, mut sums, mut squares, mut cross) = (0.0f32, (0.0f32, 0.0f32), (0.0f32, 0.0f32), 0.0f32);
     for (a, b) in common(recording, model, map) {
-        let (a, b) = (grey(a), grey(b));
+        let (a, b) = (luminance(a), luminance(b));
         n += 1.0;
         sums = (sums.0 + a, sums.1 + b);
         squares = (squares.0 + a * a, squares.1 + b * b);
         cross += a * b;
     }
     // Little in common says nothing.
-    let (width, height) = recording.size();
-    if n < 0.15 * (width * height) as f32 {
+    if n < 0.15 * (recording.width * recording.height) as f32 {
         return -1.0;
     }
     let variance = (squares.0 - sums.0 * sums.0 / n) * (squares.1 - sums.1 * sums.1 / n);

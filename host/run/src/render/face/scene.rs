@@ -6,8 +6,9 @@ use rand_pcg::Pcg32;
 use super::course::{Course, Moment};
 use super::footage::Footage;
 use super::jaw::{Asked, JawBy, Jaws};
-use super::layer::{Bytes, Floats, Region, Sampled};
+use super::layer::Region;
 use super::mouths::{Mouths, Whose};
+use super::raster::{Bytes, Floats, coarse_at, luminance};
 use crate::affine::Affine;
 use crate::error::{Result, bail};
 use crate::mouth::MouthSpace;
@@ -158,11 +159,6 @@ impl<'a> FaceScene<'a> {
         &self.course
     }
 
-    /// Standard deviation of the noise that is put onto mouths, levels.
-    pub fn noise(&self) -> f32 {
-        self.noise
-    }
-
     /// Picture `n` of the film before anything is drawn onto it, and where the mouth's rectangle lies in it.
     ///
     /// # Errors
@@ -245,20 +241,13 @@ impl<'a> FaceScene<'a> {
         (across, down): (usize, usize),
         sharp: usize,
     ) -> Result<Vec<f32>> {
-        let (width, height) = self.footage.pictures.size();
         let mut rgb = Vec::new();
-        self.footage.pictures.read(picture, &mut rgb)?;
+        let from = self.footage.pictures.read(picture, &mut rgb)?;
         let map = self.footage.places[picture].mouth;
-        let from = Bytes {
-            rgb: &rgb,
-            width,
-            height,
-        };
-        let place = |at: usize| (at as f32 + 0.5) / sharp as f32 - 0.5;
         let mut image = Vec::with_capacity(across * down * 3);
         for y in 0..down {
             for x in 0..across {
-                let (px, py) = map.apply(place(x), place(y));
+                let (px, py) = map.apply(coarse_at(x, sharp), coarse_at(y, sharp));
                 image.extend(from.sample_cubic(px, py));
             }
         }
@@ -285,14 +274,9 @@ impl Scene for FaceScene<'_> {
         let here = self.footage.places[moment.picture].clone();
         if let (Some(jaws), Some(picture)) = (&mut self.jaws, self.lower.get(self.drawn)) {
             let mut lender = Vec::new();
-            self.footage.pictures.read(*picture, &mut lender)?;
+            let from = self.footage.pictures.read(*picture, &mut lender)?;
             let there = &self.footage.places[*picture];
             let share = |x: f32, y: f32| here.on_face(x, y).min(there.on_face(x, y));
-            let from = Bytes {
-                rgb: &lender,
-                width: size.0,
-                height: size.1,
-            };
             jaws.region.stitch(&mut rgb, size, &map, share, |x, y| {
                 let (px, py) = there.mouth.apply(x, y);
                 from.sample_cubic(px, py)
@@ -386,7 +370,7 @@ fn looks(footage: &mut Footage) -> Result<Vec<Vec<f32>>> {
 fn grain(image: &[f32], (width, height): (usize, usize)) -> f32 {
     let grey: Array1<f32> = image
         .chunks_exact(3)
-        .map(|p| 0.299 * p[0] + 0.587 * p[1] + 0.114 * p[2])
+        .map(|p| luminance([p[0], p[1], p[2]]))
         .collect();
     let at = |x: usize, y: usize| grey[y * width + x];
     let mut rest = Vec::with_capacity(grey.len());
