@@ -1,13 +1,11 @@
 //! What one picture of a take shows of its face: lips, framing, light, sharpness.
 use lipstream_media::video::Frames;
 
-use crate::vision::Landmarks;
+use crate::vision::{CHIN, EYES, Landmarks};
 
 /// Points of the face, by their numbers in MediaPipe's mesh; left and right are the picture's.
 const CHEEKS: [usize; 2] = [234, 454];
-const EYES: [usize; 2] = [33, 263];
 const FOREHEAD: usize = 10;
-const CHIN: usize = 152;
 const NOSE_TIP: usize = 1;
 const LIP_CORNERS: [usize; 2] = [61, 291];
 /// Inner edges of the upper and the lower lip, in the middle of the mouth.

@@ -21,13 +21,13 @@ const OUTER_LIPS: [usize; 20] = [
     61, 185, 40, 39, 37, 0, 267, 269, 270, 409, 291, 375, 321, 405, 314, 17, 84, 181, 91, 146,
 ];
 /// Outer corners of the eyes, left in the picture first.
-const EYES: [usize; 2] = [33, 263];
+pub(crate) const EYES: [usize; 2] = [33, 263];
 /// In the middle, inner edges of the upper and the lower lip.
 const INNER_LIPS: [usize; 2] = [13, 14];
 /// Tip of the nose's base, above the upper lip.
 const NOSE_BASE: usize = 2;
 /// Tip of the chin.
-const CHIN: usize = 152;
+pub(crate) const CHIN: usize = 152;
 /// Edges of the face at the height of the lips, left in the picture first.
 const SIDES: [usize; 2] = [58, 288];
 /// The square is so much larger than what it holds.
@@ -96,6 +96,11 @@ impl Landmarks {
         }
     }
 
+    /// Distance of two points.
+    fn apart(&self, a: usize, b: usize) -> f32 {
+        (self.0[a].0 - self.0[b].0).hypot(self.0[a].1 - self.0[b].1)
+    }
+
     /// Base of the nose, chin, left and right edge of the face at the height of the lips, each through `map`.
     pub(crate) fn lower_face(&self, map: &Affine) -> [(f32, f32); 4] {
         [NOSE_BASE, CHIN, SIDES[0], SIDES[1]].map(|index| {
@@ -106,16 +111,14 @@ impl Landmarks {
 
     /// How far the jaw hangs: from the nose's base to the chin, over the distance between the outer corners of the eyes.
     pub fn jaw(&self) -> f32 {
-        let apart = |a: usize, b: usize| (self.0[a].0 - self.0[b].0).hypot(self.0[a].1 - self.0[b].1);
-        apart(NOSE_BASE, CHIN) / apart(EYES[0], EYES[1]).max(1e-3)
+        self.apart(NOSE_BASE, CHIN) / self.apart(EYES[0], EYES[1]).max(1e-3)
     }
 
     /// Gap between the inner lips and distance of the lips' corners, over the distance between the outer corners of the eyes.
     pub fn opening(&self) -> (f32, f32) {
-        let apart = |a: usize, b: usize| (self.0[a].0 - self.0[b].0).hypot(self.0[a].1 - self.0[b].1);
-        let eyes = apart(EYES[0], EYES[1]).max(1e-3);
-        let gap = apart(INNER_LIPS[0], INNER_LIPS[1]);
-        (gap / eyes, apart(OUTER_LIPS[0], OUTER_LIPS[10]) / eyes)
+        let eyes = self.apart(EYES[0], EYES[1]).max(1e-3);
+        let gap = self.apart(INNER_LIPS[0], INNER_LIPS[1]);
+        (gap / eyes, self.apart(OUTER_LIPS[0], OUTER_LIPS[10]) / eyes)
     }
 
     /// The outer lips in the face's own coordinates: from the base of the nose, along the line of the eyes, over their distance.
