@@ -2,6 +2,10 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+mod common;
+
+use common::program::{run_with_programs, text};
+
 fn ffmpeg(folder: &Path, arguments: &[&str]) {
     let ran = Command::new("ffmpeg")
         .current_dir(folder)
@@ -13,16 +17,7 @@ fn ffmpeg(folder: &Path, arguments: &[&str]) {
 }
 
 fn check(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_lipstream"))
-        .current_dir(folder)
-        .arg("check")
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
+    run_with_programs(folder, &[&["check"], arguments].concat())
 }
 
 /// A test picture that speaks: there is no face, which is said, with everything that is heard.

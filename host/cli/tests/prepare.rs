@@ -6,6 +6,10 @@ use lipstream::reference;
 use lipstream_make::features::{FeatureFolder, PhonesFrom, Split};
 use lipstream_media::sound;
 
+mod common;
+
+use common::program::{run_with_programs, text};
+
 /// Bursts of a hoarse tone with pauses between them: loud and quiet enough to pass for speech.
 fn bursts(seconds: f64, pitch_hz: f64) -> Vec<i16> {
     let mut noise = 1u32;
@@ -59,15 +63,7 @@ fn corpus(root: &Path) {
 }
 
 fn run(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_lipstream"))
-        .arg("prepare")
-        .args(arguments)
-        .output()
-        .unwrap()
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8(bytes.to_vec()).unwrap()
+    run_with_programs(Path::new("."), &[&["prepare"], arguments].concat())
 }
 
 #[test]

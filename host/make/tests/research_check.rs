@@ -4,12 +4,9 @@ use std::process::Command;
 
 use lipstream_make::check::{CheckSettings, Report, check};
 
-/// The research data.
-fn data() -> PathBuf {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    Path::new(&shared).join("data")
-}
+mod common;
+
+use common::{data, videos};
 
 fn ffmpeg(arguments: &[&str]) {
     let ran = Command::new("ffmpeg")
@@ -22,19 +19,6 @@ fn ffmpeg(arguments: &[&str]) {
 
 fn word(path: &Path) -> &str {
     path.to_str().unwrap()
-}
-
-fn videos(folder: &Path) -> Vec<PathBuf> {
-    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| {
-            path.extension()
-                .is_some_and(|ending| ending == "mpg" || ending == "mp4")
-        })
-        .collect();
-    all.sort();
-    all
 }
 
 /// One take of several GRID clips, each of exactly three seconds, with the sound of others where `sound` says so.

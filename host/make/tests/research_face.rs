@@ -1,6 +1,4 @@
 //! A face drawn onto another recording of the same person, against how he himself said the sentence. Needs LIPSTREAM_RESEARCH and `ffmpeg`.
-use std::path::PathBuf;
-
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::render::face::{FaceScene, FaceSettings, Wanted, Whose};
@@ -11,22 +9,9 @@ use lipstream_make::vision::{self, LandmarkFinder};
 use lipstream_media::sound;
 use lipstream_media::video::{self, Frames};
 
-fn first_videos(folder: &str, count: usize) -> Vec<PathBuf> {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    let folder = PathBuf::from(shared).join("data").join(folder);
-    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| {
-            path.extension()
-                .is_some_and(|ending| ending == "mpg" || ending == "mp4")
-        })
-        .collect();
-    all.sort();
-    all.truncate(count);
-    all
-}
+mod common;
+
+use common::{data, videos};
 
 fn correlation(pairs: &[(f32, f32)]) -> f32 {
     let n = pairs.len() as f32;
@@ -42,10 +27,10 @@ fn correlation(pairs: &[(f32, f32)]) -> f32 {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn a_face_says_what_it_never_said() {
-    let sentence = &first_videos("grid-s1/val", 3)[2];
-    let own = &first_videos("grid-s1/val", 1)[0];
+    let own = videos(&data().join("grid-s1/val"));
+    let (own, sentence) = (&own[0], &own[2]);
     // The first of them is the shipped model's speaker himself.
-    let stranger = &first_videos("grid-others", 2)[1];
+    let stranger = &videos(&data().join("grid-others"))[1];
     let space = MouthSpace::load(&Tensors::parse(shipped::MODEL, "the shipped model").unwrap()).unwrap();
     let samples = sound::decode(&video::decode_sound(sentence).unwrap())
         .unwrap()

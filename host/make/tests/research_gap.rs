@@ -1,7 +1,7 @@
 //! The lip gap and the distance of the corners, measured by colour and read out of parameters, against landmarks of another program, on GRID videos. Needs LIPSTREAM_RESEARCH and
 //! `ffmpeg`.
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lipstream::lips::Lips;
 use lipstream::mouth::MouthSpace;
@@ -65,10 +65,7 @@ fn closed(pairs: &[(f32, f32)], below: f32) -> (f64, f64) {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn colour_agrees_with_landmarks() {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    let shared = PathBuf::from(shared);
-    let grid = shared.join("data/grid-s1");
+    let grid = common::data().join("grid-s1");
     let folder = tempfile::tempdir().unwrap();
     let corpus_path = folder.path().join("grid");
     for (split, count) in [("train", 10), ("test", 4)] {

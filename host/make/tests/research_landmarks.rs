@@ -14,9 +14,7 @@ const LIPS: [usize; 20] = [
 
 /// GRID talker 1's folder, his landmarks and the clips that they are of.
 fn grid() -> (PathBuf, Array4<i16>, Vec<String>) {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    let grid = PathBuf::from(shared).join("data/grid-s1");
+    let grid = common::data().join("grid-s1");
     let npz = grid.join("landmarks.npz");
     let points = Array4::<i16>::read_npy(&common::member(&npz, "points_x32.npy")[..]).unwrap();
     let names = common::names(&common::member(&npz, "clips.npy"));

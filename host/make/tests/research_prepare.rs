@@ -1,16 +1,13 @@
 //! `prepare` on real clips: some TIMIT sentences and some GRID videos. Needs LIPSTREAM_RESEARCH and `ffmpeg`.
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lipstream_make::corpus::{self, PrepareSettings};
 use lipstream_make::features::{self, FeatureFolder, Split};
 use lipstream_media::video;
 
-/// The folder of the research data.
-fn shared() -> PathBuf {
-    std::env::var_os("LIPSTREAM_RESEARCH")
-        .expect("LIPSTREAM_RESEARCH names the folder that holds data/")
-        .into()
-}
+mod common;
+
+use common::data;
 
 fn copy(from: &Path, to: &Path, names: impl Iterator<Item = String>) {
     std::fs::create_dir_all(to).unwrap();
@@ -36,11 +33,10 @@ fn common(a: &[&str], b: &[&str]) -> usize {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn timit_sentences() {
-    let shared = shared();
     let folder = tempfile::tempdir().unwrap();
     let corpus_path = folder.path().join("timit");
     for speaker in ["dr1-fvmh0", "dr3-madc0"] {
-        let from = shared.join("data/timit-sample").join(speaker);
+        let from = data().join("timit-sample").join(speaker);
         let names = ["sa1", "sa2"]
             .into_iter()
             .flat_map(|s| ["wav", "phn", "wrd", "txt"].map(|e| format!("{s}.{e}")));
@@ -102,9 +98,8 @@ fn timit_sentences() {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn grid_videos() {
-    let shared = shared();
     let folder = tempfile::tempdir().unwrap();
-    let grid = shared.join("data/grid-s1");
+    let grid = data().join("grid-s1");
     let corpus_path = folder.path().join("grid");
     for (split, count) in [("train", 5), ("test", 1)] {
         let mut stems: Vec<String> = std::fs::read_dir(grid.join(split))
@@ -195,7 +190,7 @@ fn grid_videos() {
 #[ignore = "needs the research data: tests/run --research"]
 fn a_bad_minute_does_not_spoil_a_take() {
     let folder = tempfile::tempdir().unwrap();
-    let grid = shared().join("data/grid-s1/train");
+    let grid = data().join("grid-s1/train");
     let mut names: Vec<_> = std::fs::read_dir(&grid)
         .unwrap()
         .filter_map(|e| Some(e.ok()?.path()))

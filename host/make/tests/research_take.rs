@@ -1,7 +1,7 @@
 //! A long take with a text without times: GRID clips one after the other, whose words and phones are known. Needs LIPSTREAM_RESEARCH and `ffmpeg`.
 //!
 //!     cargo test -p lipstream-make --test research_take -- --ignored --nocapture
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use lipstream_make::align::judge::{Judgement, table};
 use lipstream_make::align::{Alignment, Spoken};
@@ -10,6 +10,8 @@ use lipstream_make::features::{Clip, FeatureFolder, PhoneLabel, PhonesFrom};
 use lipstream_media::{sound, video};
 
 use lipstream::phones::Phone;
+
+mod common;
 
 /// The take: its samples, its words with the middle of each in seconds, its phones.
 struct Take {
@@ -20,18 +22,12 @@ struct Take {
 
 fn take(grid: &Path, clips: usize) -> Take {
     let table = labels::read_table(&grid.join("phones-auto.tsv")).unwrap();
-    let mut names: Vec<PathBuf> = std::fs::read_dir(grid.join("test"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|e| e == "mpg"))
-        .collect();
-    names.sort();
     let mut take = Take {
         samples: Vec::new(),
         words: Vec::new(),
         phones: Vec::new(),
     };
-    for path in names.iter().take(clips) {
+    for path in common::videos(&grid.join("test")).iter().take(clips) {
         let begins = take.samples.len() as f64 / 16_000.0;
         let heard = sound::decode(&video::decode_sound(path).unwrap()).unwrap();
         let said = labels::read(&[path.with_extension("align")], heard.seconds()).unwrap();
@@ -129,9 +125,7 @@ fn spoken(label: &PhoneLabel) -> Spoken {
 #[test]
 #[ignore = "needs the research data: tests/run --research"]
 fn words_of_a_take_find_their_pieces() {
-    let shared =
-        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
-    let grid = PathBuf::from(shared).join("data/grid-s1");
+    let grid = common::data().join("grid-s1");
     let take = take(&grid, 24);
     let folder = tempfile::tempdir().unwrap();
     let words: Vec<&str> = take.words.iter().map(|(text, _)| text.as_str()).collect();

@@ -18,6 +18,20 @@ pub(crate) fn run<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> Output {
         .expect("run lipstream")
 }
 
+/// Runs the program in `folder` with what is installed, such as ffmpeg, at hand.
+pub(crate) fn run_with_programs<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> Output {
+    Command::new(program())
+        .current_dir(folder)
+        .args(arguments)
+        .output()
+        .expect("run lipstream")
+}
+
+/// What a program printed.
+pub(crate) fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
 /// Runs the program, which must succeed; gives what it printed.
 pub(crate) fn succeed<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String {
     let output = run(folder, arguments);

@@ -1,6 +1,28 @@
-//! What tests on the research data share: reading NumPy archives.
+//! What tests on the research data share: where they lie, videos, NumPy archives.
+#![allow(dead_code)] // each test program uses its part
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+
+/// The research data.
+pub(crate) fn data() -> PathBuf {
+    let shared =
+        std::env::var_os("LIPSTREAM_RESEARCH").expect("LIPSTREAM_RESEARCH names the folder that holds data/");
+    Path::new(&shared).join("data")
+}
+
+/// The videos of a folder, by name.
+pub(crate) fn videos(folder: &Path) -> Vec<PathBuf> {
+    let mut all: Vec<PathBuf> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| {
+            path.extension()
+                .is_some_and(|ending| ending == "mpg" || ending == "mp4")
+        })
+        .collect();
+    all.sort();
+    all
+}
 
 /// One array of an `.npz`.
 pub(crate) fn member(npz: &Path, name: &str) -> Vec<u8> {
