@@ -11,7 +11,7 @@ use lipstream::engine::{Engine, Kind, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::render::face::{FaceScene, FaceSettings, Footage, JawBy, Wanted, Whose};
 use lipstream::render::refine::Choice;
-use lipstream::render::{self, Scene as _, Tracks, energy};
+use lipstream::render::{self, Scene as _, energy};
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::evaluate::pictures::seam;
@@ -67,7 +67,7 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     ];
     let mut all: Vec<Seen> = ways.iter().map(|_| Seen::default()).collect();
     for video in videos {
-        let clip = Clip::read(video, &engine, &space)?;
+        let clip = Clip::read(video, &engine)?;
         for ((_, settings), seen) in ways.iter().zip(&mut all) {
             seen.add(&clip, &mut footage, &space, settings)?;
         }
@@ -146,15 +146,12 @@ struct Clip {
 }
 
 impl Clip {
-    fn read(path: &Path, engine: &Engine, space: &MouthSpace) -> Result<Self> {
+    fn read(path: &Path, engine: &Engine) -> Result<Self> {
         let frames = video::decode(path)?;
         let samples = sound::decode(&video::decode_sound(path)?)?.samples;
         let said = engine.convert(&samples, &RunSettings::default())?.parameters;
         let fps = frames.rate_hz.round() as u32;
-        let mut tracks = Tracks::new(space.size());
-        let picture = |_: &[u8]| Ok::<(), lipstream::Error>(());
-        render::play(&mut tracks, said.view(), fps, Some(samples.len()), picture, &())?;
-        let tracks = tracks.into_rows();
+        let tracks = render::at_pictures(said.view(), fps, Some(samples.len()))?;
         Ok(Self {
             energy: energy(&Soundtrack::Samples(&samples), fps, tracks.nrows())?,
             tracks,

@@ -10,8 +10,8 @@ use anyhow::{Context as _, Result, bail};
 use lipstream::engine::{Engine, FloatModel, Kind, RunSettings};
 use lipstream::lips::Lips;
 use lipstream::mouth::MouthSpace;
+use lipstream::render;
 use lipstream::render::refine::{Candidates, Choice};
-use lipstream::render::{self, Tracks};
 use lipstream::tensors::Tensors;
 use lipstream_make::details::{Seen, candidates};
 use lipstream_make::evaluate::closure::learn_lips;
@@ -63,7 +63,7 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
         let recorded = &seen.differences + &seen.mean;
         let mut of_clip = vec![seen.weights.clone()];
         if let Some(engine) = &engine {
-            of_clip.push(heard(engine, &folder, clip, space.size())?);
+            of_clip.push(heard(engine, &folder, clip)?);
         }
         for (column, tracks) in of_clip.iter().enumerate() {
             let tracks = tracks.view();
@@ -146,14 +146,11 @@ fn drawn(
 }
 
 /// What the model hears, at the pictures' times, `[pictures, D]`.
-fn heard(engine: &Engine, folder: &FeatureFolder, clip: &Clip, size: usize) -> Result<Array2<f32>> {
+fn heard(engine: &Engine, folder: &FeatureFolder, clip: &Clip) -> Result<Array2<f32>> {
     let sound = sound::read(&folder.wav_path(&clip.id))?.samples;
     let said = engine.convert(&sound, &RunSettings::default())?.parameters;
-    let mut tracks = Tracks::new(size);
-    let picture = |_: &[u8]| Ok::<(), lipstream::Error>(());
     let fps = clip.video_hz.round() as u32;
-    render::play(&mut tracks, said.view(), fps, Some(sound.len()), picture, &())?;
-    let mut rows = tracks.into_rows();
+    let mut rows = render::at_pictures(said.view(), fps, Some(sound.len()))?;
     // Weights are told from the clip's mean mouth.
     if let Some(mean) = rows.mean_axis(Axis(0)) {
         rows -= &mean;

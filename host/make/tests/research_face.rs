@@ -2,7 +2,7 @@
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::render::face::{FaceScene, FaceSettings, Wanted, Whose};
-use lipstream::render::{self, Scene as _, Tracks};
+use lipstream::render::{self, Scene as _};
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
 use lipstream_make::vision::{self, LandmarkFinder};
@@ -39,10 +39,7 @@ fn a_face_says_what_it_never_said() {
         .convert(&samples, &RunSettings::default())
         .unwrap()
         .parameters;
-    let mut tracks = Tracks::new(space.size());
-    let nothing = |_: &[u8]| Ok::<(), lipstream::Error>(());
-    render::play(&mut tracks, said.view(), 25, Some(samples.len()), nothing, &()).unwrap();
-    let tracks = tracks.into_rows();
+    let tracks = render::at_pictures(said.view(), 25, Some(samples.len())).unwrap();
     let finder = LandmarkFinder::new().unwrap();
     let truth = finder.in_clip(&video::decode(sentence).unwrap()).unwrap();
     for (background, whose) in [(own, Whose::Trained), (stranger, Whose::Opened)] {

@@ -248,6 +248,17 @@ impl Scene for Tracks {
     }
 }
 
+/// What the pictures of a film show of parameters `[frames, D]` at 100 Hz, `[pictures, D]`: as [`play`] has it.
+///
+/// # Errors
+///
+/// Parameters that cannot be drawn.
+pub fn at_pictures(tracks: ArrayView2<f32>, fps: u32, samples: Option<usize>) -> Result<Array2<f32>> {
+    let mut shown = Tracks::new(tracks.ncols());
+    play(&mut shown, tracks, fps, samples, |_| Ok::<(), Error>(()), &())?;
+    Ok(shown.into_rows())
+}
+
 /// Energy of a sound around each of `pictures` pictures, decibels over one step of a sample.
 ///
 /// # Errors
