@@ -1,11 +1,16 @@
 //! Training end to end on a made-up talker: features on disk to a model that moves the mouth rightly, twice the same.
 use lipstream::engine::{Engine, Kind};
 use lipstream::export::{ExportSettings, export};
+use lipstream::hmm::system::System;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::likelihood::convert::{Lag, convert};
+use lipstream::npy::write_npy;
 use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::features::{FeatureFolder, Split};
+use lipstream_make::train::adapt::adapt;
 use lipstream_make::train::{TrainSettings, data, train};
+use ndarray::arr2;
+
 mod talker;
 
 use talker::made_up_talker;
@@ -24,7 +29,7 @@ fn small() -> TrainSettings {
 }
 
 fn score(folder: &FeatureFolder, model: &Model) -> Score {
-    let mut score = Score::new(2);
+    let mut score = Score::new(folder.manifest.visual_size);
     for clip in folder.split(Split::Test) {
         let truth = data::to_audio_rate(
             folder.visual(clip).unwrap().view(),
@@ -72,6 +77,55 @@ fn a_made_up_talker_is_learnt_and_again_the_same() {
     let tables = export(&model, &ExportSettings::of(&model)).unwrap().bytes;
     assert!(Engine::fixed(tables).is_ok());
     assert!(Engine::open(&paths[0], Kind::Float).is_ok());
+}
+
+#[test]
+fn a_new_mouth_is_learnt_for_the_old_ears() {
+    let scratch = tempfile::tempdir().unwrap();
+    let old = made_up_talker(&scratch.path().join("old"), 12);
+    let model = train(&old, &[], &small(), &()).unwrap();
+    // Somebody with three eigenmouths, each a mixture of the old two, in four clips.
+    let mut new = made_up_talker(&scratch.path().join("new"), 12);
+    let mixture = arr2(&[[0.0f32, -1.0, 1.0], [1.0, 0.5, 1.0]]);
+    for clip in &new.manifest.clips {
+        let mouth = new.visual(clip).unwrap().dot(&mixture);
+        write_npy(&new.root.join(format!("visual/{}.npy", clip.id)), &mouth).unwrap();
+    }
+    new.manifest.visual_size = 3;
+    let few = TrainSettings {
+        clips: Some(4),
+        ..small()
+    };
+    let adapted = adapt(&new, &model, &few, &()).unwrap();
+    let (own, other) = (score(&old, &model).acc(), score(&new, &adapted).acc());
+    println!("ACC of the old mouth {own:.3}, of the new one {other:.3}");
+    assert!(other > 0.8 && other > own - 0.1, "{own} {other}");
+    // The ears are the old ones.
+    assert_eq!(
+        (
+            &adapted.audio,
+            &adapted.transition,
+            &adapted.bigram,
+            &adapted.initial
+        ),
+        (&model.audio, &model.transition, &model.bigram, &model.initial)
+    );
+    assert_eq!(
+        (&adapted.start_mean, adapted.system),
+        (&model.start_mean, model.system)
+    );
+
+    // Components of sound and mouth together cannot be parted.
+    let joint = TrainSettings {
+        system: System::from_name("ph-hmm").unwrap(),
+        ..small()
+    };
+    let joint = train(&old, &[], &joint, &()).unwrap();
+    let refused = adapt(&new, &joint, &few, &()).unwrap_err().to_string();
+    assert!(
+        refused.contains("ph-hmm is of sound and mouth together"),
+        "{refused}"
+    );
 }
 
 #[test]

@@ -8,11 +8,14 @@ use super::train_shards::{self, Shards};
 use crate::progress::Terminal;
 use lipstream::engine::FloatModel;
 use lipstream::hmm::system::{SYSTEMS, System};
+use lipstream_core::model::container::checksum;
 use lipstream_make::align;
 use lipstream_make::features::FeatureFolder;
+use lipstream_make::train::adapt::adapt;
 use lipstream_make::train::resume::Resume;
 use lipstream_make::train::state::State;
 use lipstream_make::train::{self, TrainSettings, shards};
+use lipstream_media::files;
 
 /// `lipstream train`, whole or in pieces.
 #[derive(Debug, clap::Args)]
@@ -36,9 +39,9 @@ pub(crate) struct Args {
     /// Model to write
     #[arg(short, long, value_name = "MODEL.safetensors", required = true)]
     output: Option<PathBuf>,
-    /// System to train
-    #[arg(long, default_value = TrainSettings::default().system.name, value_parser = system)]
-    system: System,
+    /// System to train [default: local-linear, or what --from holds]
+    #[arg(long, value_parser = system)]
+    system: Option<System>,
     /// Most Gaussians per audio state, a power of two; the validation clips choose
     #[arg(long, default_value_t = TrainSettings::default().audio_mixtures)]
     audio_mixtures: usize,
@@ -61,6 +64,12 @@ pub(crate) struct Args {
     /// How: by likelihood as in the papers, or from there on by the error of the mouth (minimum generation error)
     #[arg(long = "train", value_enum, default_value_t = Method::Likelihood)]
     method: Method,
+    /// Model to start from. By likelihood: it goes on hearing as it does and gets the mouth of the clips, whose phones must be known or
+    /// recognised. With `--train mge`: a model trained by likelihood goes on being trained [default: it is trained first]; one trained on
+    /// the error of its mouth, such as the shipped one, goes on hearing as it does and gets the new mouth, and no phones are asked for.
+    /// A minute of video or two are enough for a new mouth
+    #[arg(long, value_name = "MODEL.safetensors", conflicts_with = "state")]
+    from: Option<PathBuf>,
     #[command(flatten)]
     mge: train_mge::Args,
     /// Continue from where `lipstream train merge` has brought the first stage, in place of joint EM
@@ -113,7 +122,7 @@ fn whole(args: Args) -> Result<()> {
         .map(|path| FeatureFolder::open(path))
         .collect::<Result<Vec<_>, _>>()?;
     let mut settings = TrainSettings {
-        system: args.system,
+        system: args.system.unwrap_or(TrainSettings::default().system),
         audio_mixtures: args.audio_mixtures,
         visual_mixtures: args.visual_mixtures,
         iterations: args.iterations,
@@ -127,24 +136,47 @@ fn whole(args: Args) -> Result<()> {
         let (state, checksum) = State::read(path)?;
         (settings.state, state_checksum) = (Some(state), checksum);
     }
-    let by_likelihood_first = args.method == Method::Likelihood || args.mge.from.is_none();
-    if by_likelihood_first {
+    let from = args.from.as_deref().map(FloatModel::read).transpose()?;
+    let adapts = matches!(
+        (args.method, &from),
+        (Method::Likelihood, Some(_)) | (Method::Mge, Some(FloatModel::Recurrent(_)))
+    );
+    if adapts && !heard.is_empty() {
+        bail!("a model that is adapted goes on hearing as it does: leave out --audio");
+    }
+    if args.method == Method::Likelihood || from.is_none() {
         let run = this_run(&folder, &heard, &settings)?;
-        settings.resume = Resume::beside(output, &format!("{run}{state_checksum:08x}\n"))?;
+        let from = match &args.from {
+            Some(path) => checksum(&files::read_bytes(path)?),
+            None => 0,
+        };
+        settings.resume = Resume::beside(output, &format!("{run}{state_checksum:08x} {from:08x}\n"))?;
     }
     let begun = std::time::Instant::now();
-    let by_likelihood = || train::train(&folder, &heard, &settings, &Terminal::default());
-    match args.method {
-        Method::Likelihood => by_likelihood()?.write(output)?,
-        Method::Mge => {
-            let from = args.mge.from.as_deref().map(FloatModel::read).transpose()?;
+    let terminal = Terminal::default();
+    let by_likelihood = || train::train(&folder, &heard, &settings, &terminal);
+    match (args.method, from) {
+        (Method::Likelihood, None) => by_likelihood()?.write(output)?,
+        (Method::Likelihood, Some(from)) => {
+            let from = match from {
+                FloatModel::Likelihood(model) => *model,
+                // What it was trained from: the same ears, by likelihood.
+                FloatModel::Recurrent(model) => model.parent,
+            };
+            if let Some(asked) = args.system.filter(|asked| *asked != from.system) {
+                bail!(
+                    "{} is to be trained, the model that is adapted is {}: leave out --system",
+                    asked.name,
+                    from.system.name
+                );
+            }
+            adapt(&folder, &from, &settings, &terminal)?.write(output)?;
+        }
+        (Method::Mge, from) => {
             let from = match from {
                 None => train_mge::Start::Likelihood(Box::new(by_likelihood()?)),
                 Some(FloatModel::Likelihood(parent)) => train_mge::Start::Likelihood(parent),
-                Some(FloatModel::Recurrent(model)) if heard.is_empty() => train_mge::Start::Recurrent(model),
-                Some(FloatModel::Recurrent(_)) => {
-                    bail!("a model that is adapted goes on hearing as it does: leave out --audio")
-                }
+                Some(FloatModel::Recurrent(model)) => train_mge::Start::Recurrent(model),
             };
             train_mge::run(&args.mge, &folder, &heard, &from, args.clips, args.seed, output)?;
         }

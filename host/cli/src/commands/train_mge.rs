@@ -18,10 +18,6 @@ use lipstream_make::mge::train::train;
 #[command(next_help_heading = "With --train mge")]
 #[group(skip)]
 pub(crate) struct Args {
-    /// Model to start from: one trained by likelihood [default: it is trained first], or one trained on the error of its mouth, such as the shipped
-    /// one, which goes on hearing as it does and gets the new mouth: a minute of video or two, no labels
-    #[arg(long, value_name = "MODEL.safetensors")]
-    pub(crate) from: Option<PathBuf>,
     /// Passes over the clips with video
     #[arg(long, default_value_t = MgeTrainSettings::default().passes)]
     passes: usize,

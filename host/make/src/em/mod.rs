@@ -444,10 +444,15 @@ const CONSTANT: f64 = 1e-9;
 /// M step: densities and transitions.
 pub fn maximise(parameters: &mut Parameters, sums: &Sums, audio: &Floors, visual: Option<&Floors>) {
     density::reestimate(&mut parameters.audio, &sums.audio, audio);
+    maximise_visual(parameters, sums, visual);
+    maximise_transitions(parameters, &sums.transition);
+}
+
+/// M step of the visual densities alone.
+pub fn maximise_visual(parameters: &mut Parameters, sums: &Sums, visual: Option<&Floors>) {
     if let (Some(mixtures), Some(sums), Some(floors)) = (&mut parameters.visual, &sums.visual, visual) {
         density::reestimate(mixtures, sums, floors);
     }
-    maximise_transitions(parameters, &sums.transition);
 }
 
 /// Audio and visual state of every frame.

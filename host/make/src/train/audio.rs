@@ -4,7 +4,7 @@ use ndarray::{Array3, Axis};
 
 use super::TrainSettings;
 use super::data::{Clips, Observed};
-use super::em::{Aligned, Coupled, passes, split_audio};
+use super::em::{Aligned, Coupled, Learnt, passes, split_audio};
 use crate::em::{Parameters, Start};
 use crate::error::Result;
 use lipstream::hmm::joint::N_EMITTING;
@@ -117,8 +117,12 @@ pub(super) fn retrain(
     if density == Density::Joint {
         parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     }
+    let learnt = Learnt {
+        audio: Some(floors),
+        visual: None,
+    };
     loop {
-        let sums = passes(&mut parameters, &clips, &floors, None, settings, progress)?;
+        let sums = passes(&mut parameters, &clips, &learnt, settings, progress)?;
         if parameters.audio.mean.dim().1 >= components {
             return Ok(parameters.audio);
         }

@@ -32,6 +32,12 @@ pub(super) struct Coupled {
     pub(super) aligned: Aligned,
 }
 
+/// Floors of the densities that EM re-estimates. What has none is held; with the sound the transitions are held too.
+pub(super) struct Learnt {
+    pub(super) audio: Option<Floors>,
+    pub(super) visual: Option<Floors>,
+}
+
 /// What the forced alignment of the training clips is asked for later.
 pub(super) struct Aligned {
     /// Whether a path fits, clip by clip.
@@ -55,7 +61,27 @@ pub(super) fn coupled(
 ) -> Result<Coupled> {
     let observed = observed(system);
     let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
-    let parameters = grow(&train_on, &judge_on, phones, system, settings, progress)?;
+    let (start, audio, visual) = em::start(&train_on, system.topology, phones)?;
+    let learnt = Learnt {
+        audio: Some(audio),
+        visual,
+    };
+    let parameters = grow(start, &learnt, &train_on, &judge_on, settings, progress)?;
+    finish(parameters, train, observed)
+}
+
+/// The first stage for a model of which a part is held: grown from `start`, streams apart.
+pub(super) fn adapted(
+    start: Parameters,
+    learnt: &Learnt,
+    train: &Clips,
+    validation: &Clips,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
+) -> Result<Coupled> {
+    let observed = Observed::Apart;
+    let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
+    let parameters = grow(start, learnt, &train_on, &judge_on, settings, progress)?;
     finish(parameters, train, observed)
 }
 
@@ -157,25 +183,17 @@ fn part(parameters: &mut Parameters, audio_size: usize) {
 /// Grows mixtures by splitting, with EM passes in between; prints the log likelihood of each. The numbers of components
 /// are those under which the validation clips are likeliest, at most what the settings allow.
 fn grow(
+    mut parameters: Parameters,
+    learnt: &Learnt,
     train: &Clips,
     validation: &Clips,
-    phones: &[Phone],
-    system: System,
     settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Parameters> {
-    let (mut parameters, audio_floors, visual_floors) = em::start(train, system.topology, phones)?;
     let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
     let mut best: Option<(f64, Parameters)> = None;
     loop {
-        let sums = passes(
-            &mut parameters,
-            train,
-            &audio_floors,
-            visual_floors.as_ref(),
-            settings,
-            progress,
-        )?;
+        let sums = passes(&mut parameters, train, learnt, settings, progress)?;
         if !validation.is_empty() {
             let unseen = em::expect(&parameters, validation)?.per_frame();
             progress.say(&format!("  validation clips: {unseen:.4} a frame"));
@@ -184,7 +202,7 @@ fn grow(
                 _ => best = Some((unseen, parameters.clone())),
             }
         }
-        let audio_more = parameters.audio.mean.dim().1 < settings.audio_mixtures;
+        let audio_more = learnt.audio.is_some() && parameters.audio.mean.dim().1 < settings.audio_mixtures;
         if audio_more {
             parameters.audio =
                 density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, signs.as_mut());
@@ -211,8 +229,7 @@ pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
 pub(super) fn passes(
     parameters: &mut Parameters,
     clips: &Clips,
-    audio: &Floors,
-    visual: Option<&Floors>,
+    learnt: &Learnt,
     settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<em::Sums> {
@@ -237,16 +254,24 @@ pub(super) fn passes(
                 sums.failed.join(" ")
             ));
         }
-        if pass == 1 {
-            em::warnings(parameters, &sums, audio)
-                .iter()
-                .for_each(|line| progress.say(line));
+        match &learnt.audio {
+            Some(audio) => {
+                if pass == 1 {
+                    em::warnings(parameters, &sums, audio)
+                        .iter()
+                        .for_each(|line| progress.say(line));
+                }
+                em::maximise(parameters, &sums, audio, learnt.visual.as_ref());
+            }
+            None => em::maximise_visual(parameters, &sums, learnt.visual.as_ref()),
         }
-        em::maximise(parameters, &sums, audio, visual);
         stage.save(pass, parameters, &sums)?;
         progress.say(&format!(
             "  K = {}: log likelihood {:.4} a frame ({:.1} s)",
-            parameters.audio.mean.dim().1,
+            match (&learnt.audio, &parameters.visual) {
+                (None, Some(visual)) => visual.mean.dim().1,
+                _ => parameters.audio.mean.dim().1,
+            },
             sums.per_frame(),
             begun.elapsed().as_secs_f32()
         ));

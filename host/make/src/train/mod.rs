@@ -1,5 +1,6 @@
 //! From feature folders to a model (`docs/design.md` section 4): joint EM on audio and video, the audio densities retrained on
 //! many speakers, recombination, and how the model is followed and what it says, chosen on validation clips.
+pub mod adapt;
 mod audio;
 pub(crate) mod bigram;
 pub mod data;
@@ -11,7 +12,7 @@ pub mod shards;
 pub mod state;
 pub mod sums;
 
-use ndarray::Array1;
+use ndarray::{Array1, Array2, Array3};
 
 use self::data::{Clips, Observed};
 use self::resume::Resume;
@@ -20,9 +21,11 @@ use crate::em::source::Source;
 use crate::error::{Error, Result, bail};
 use crate::features::{FeatureFolder, Split};
 use lipstream::hmm::Hmm;
+use lipstream::hmm::mixtures::Mixtures;
 use lipstream::hmm::system::System;
 use lipstream::kinds::likelihood::Model;
 use lipstream::mouth::MouthSpace;
+use lipstream::phones::Phone;
 use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 
@@ -84,36 +87,9 @@ pub fn train(
     settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Model> {
-    if folder.manifest.visual_size == 0 {
-        bail!(
-            Data,
-            "{} has no video: a mouth cannot be learnt from sound alone",
-            folder.root.display()
-        );
-    }
-    for count in [settings.audio_mixtures, settings.visual_mixtures] {
-        if !count.is_power_of_two() {
-            bail!(
-                Choice,
-                "mixtures grow by splitting: {count} components are not a power of two"
-            );
-        }
-    }
     let folders: Vec<&FeatureFolder> = std::iter::once(folder).chain(audio_only).collect();
     let phones = data::phones_said(folders.iter().flat_map(|f| f.split(Split::Train)));
-    let with_video = |split| Clips::new(folder, split, &phones, progress).readable(true, progress);
-    let mut train = with_video(Split::Train);
-    if let Some(clips) = settings.clips {
-        train.draw(clips, settings.seed);
-    }
-    let validation = with_video(Split::Val);
-    if train.is_empty() {
-        bail!(
-            Data,
-            "{} has no training clip that can be used",
-            folder.root.display()
-        );
-    }
+    let (train, validation) = with_video(folder, &phones, settings, progress)?;
     let mut heard = Clips::none(&phones).observed(Observed::Sound);
     for folder in audio_only {
         let clips = Clips::new(folder, Split::Train, &phones, progress).observed(Observed::Sound);
@@ -151,32 +127,6 @@ pub fn train(
             audio::retrain(&parameters, &seen, system.density, speakers, settings, progress)?
         }
     };
-    let visual = parameters
-        .visual
-        .ok_or_else(|| Error::Numbers("joint EM left no visual densities".into()))?;
-    let hmm = Hmm {
-        topology: system.topology,
-        density: system.density,
-        phones: &phones,
-        audio: &audio,
-        visual: &visual,
-        transition: &parameters.transition,
-        initial: &initial,
-        bigram: &bigram,
-    };
-    progress.say("how it is followed, and what it says");
-    let judges = match validation.is_empty() {
-        true => &train,
-        false => &validation,
-    };
-    let (following, context, maps) = maps::maps(&hmm, &train, judges, settings, progress)?;
-    let conversion = maps::conversion(&hmm, judges, settings, progress)?;
-    let mouth = match folder.mouth_path() {
-        path if path.exists() => {
-            Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
-        }
-        _ => None,
-    };
     let provenance = format!(
         "{}: {}; {} clips of {} with video, {} clips with sound only; {} audio and {} visual components",
         system.name,
@@ -185,24 +135,127 @@ pub fn train(
         corpus_name(folder),
         heard.len(),
         audio.mean.dim().1,
-        visual.mean.dim().1
+        parameters.visual.as_ref().map_or(0, |visual| visual.mean.dim().1)
     );
-    Ok(Model {
+    let coupled = Trained {
         system,
         phones: phones.clone(),
         start_mean: Array1::from(folder.manifest.start_mean.clone()),
         audio,
-        visual,
+        visual: parameters.visual,
         transition: parameters.transition,
-        bigram,
         initial: Array1::from(initial),
-        context,
-        maps,
-        following,
-        conversion,
-        mouth,
+        bigram,
         provenance,
-    })
+    };
+    coupled.completed(folder, (&train, &validation), settings, progress)
+}
+
+/// Training clips with video and those that judge, of what `phones` can say.
+fn with_video<'a>(
+    folder: &'a FeatureFolder,
+    phones: &'a [Phone],
+    settings: &TrainSettings,
+    progress: &dyn Progress,
+) -> Result<(Clips<'a>, Clips<'a>)> {
+    if folder.manifest.visual_size == 0 {
+        bail!(
+            Data,
+            "{} has no video: a mouth cannot be learnt from sound alone",
+            folder.root.display()
+        );
+    }
+    for count in [settings.audio_mixtures, settings.visual_mixtures] {
+        if !count.is_power_of_two() {
+            bail!(
+                Choice,
+                "mixtures grow by splitting: {count} components are not a power of two"
+            );
+        }
+    }
+    let with_video = |split| Clips::new(folder, split, phones, progress).readable(true, progress);
+    let mut train = with_video(Split::Train);
+    if let Some(clips) = settings.clips {
+        train.draw(clips, settings.seed);
+    }
+    if train.is_empty() {
+        bail!(
+            Data,
+            "{} has no training clip that can be used",
+            folder.root.display()
+        );
+    }
+    Ok((train, with_video(Split::Val)))
+}
+
+/// A coupled HMM of which only the last stage is missing: how it is followed, and what it says.
+struct Trained {
+    system: System,
+    phones: Vec<Phone>,
+    start_mean: Array1<f32>,
+    audio: Mixtures,
+    visual: Option<Mixtures>,
+    transition: Array3<f32>,
+    initial: Array1<f32>,
+    bigram: Array2<f32>,
+    provenance: String,
+}
+
+impl Trained {
+    /// Learns the last stage, and takes the mouth of `folder`. The second clips judge, the first ones where there are none.
+    fn completed(
+        self,
+        folder: &FeatureFolder,
+        (train, validation): (&Clips, &Clips),
+        settings: &TrainSettings,
+        progress: &dyn Progress,
+    ) -> Result<Model> {
+        let visual = self
+            .visual
+            .ok_or_else(|| Error::Numbers("joint EM left no visual densities".into()))?;
+        let hmm = Hmm {
+            topology: self.system.topology,
+            density: self.system.density,
+            phones: &self.phones,
+            audio: &self.audio,
+            visual: &visual,
+            transition: &self.transition,
+            initial: self
+                .initial
+                .as_slice()
+                .ok_or_else(|| Error::Numbers("first phones are not in order".into()))?,
+            bigram: &self.bigram,
+        };
+        progress.say("how it is followed, and what it says");
+        let judges = match validation.is_empty() {
+            true => train,
+            false => validation,
+        };
+        let (following, context, maps) = maps::maps(&hmm, train, judges, settings, progress)?;
+        let conversion = maps::conversion(&hmm, judges, settings, progress)?;
+        let mouth = match folder.mouth_path() {
+            path if path.exists() => {
+                Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
+            }
+            _ => None,
+        };
+        Ok(Model {
+            system: self.system,
+            phones: self.phones,
+            start_mean: self.start_mean,
+            audio: self.audio,
+            visual,
+            transition: self.transition,
+            bigram: self.bigram,
+            initial: self.initial,
+            context,
+            maps,
+            following,
+            conversion,
+            mouth,
+            provenance: self.provenance,
+        })
+    }
 }
 
 pub(crate) fn corpus_name(folder: &FeatureFolder) -> String {
