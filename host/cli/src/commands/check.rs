@@ -1,5 +1,5 @@
 //! `lipstream check`: whether videos are fit to be trained on.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use lipstream_make::check::{self, CheckSettings, Grade, Report};
@@ -30,16 +30,8 @@ pub(crate) struct Args {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let mut videos = Vec::new();
-    for path in args.videos {
-        if path.is_dir() {
-            let found = discover(&path, None, &Options::default())?.clips;
-            let those = found.into_iter().filter_map(|clip| clip.video);
-            let before = videos.len();
-            videos.extend(those);
-            anyhow::ensure!(videos.len() > before, "{} holds no videos", path.display());
-        } else {
-            videos.push(path);
-        }
+    for path in &args.videos {
+        videos.extend(videos_of(path)?);
     }
     let settings = CheckSettings {
         look_s: args.look.into(),
@@ -72,6 +64,17 @@ pub(crate) fn run(args: Args) -> Result<()> {
         failed.join("; ")
     );
     Ok(())
+}
+
+/// The videos of a folder; or the one that is given.
+pub(super) fn videos_of(path: &Path) -> Result<Vec<PathBuf>> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_owned()]);
+    }
+    let found = discover(path, None, &Options::default())?.clips;
+    let videos: Vec<PathBuf> = found.into_iter().filter_map(|clip| clip.video).collect();
+    anyhow::ensure!(!videos.is_empty(), "{} holds no videos", path.display());
+    Ok(videos)
 }
 
 fn print(text: &str) -> Result<()> {

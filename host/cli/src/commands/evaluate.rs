@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use super::choices;
+use super::{choices, evaluate_strangers};
 use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
@@ -19,8 +19,12 @@ use lipstream_make::train;
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Feature folder with video (made by `lipstream prepare`)
+    /// Feature folder with video (made by `lipstream prepare`); with --strangers a video or a folder of videos
     dir: PathBuf,
+    /// Measure how well the lip gap of the model [default: the shipped one] follows that of the people in the videos DIR, whom it need not know:
+    /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
+    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    strangers: bool,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
     model: Option<PathBuf>,
@@ -83,6 +87,14 @@ fn short(path: &Path) -> String {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    if args.strangers {
+        return evaluate_strangers::run(
+            &args.dir,
+            args.model.as_deref(),
+            args.output.as_deref(),
+            args.json,
+        );
+    }
     let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;

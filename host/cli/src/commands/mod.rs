@@ -12,6 +12,7 @@ mod convert;
 mod cues;
 mod demo;
 mod evaluate;
+mod evaluate_strangers;
 mod export;
 mod features;
 mod mos;

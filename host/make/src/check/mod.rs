@@ -3,14 +3,15 @@
 //!
 //! Sound is heard whole; of the pictures some stretches with speech are looked at, as many seconds as the settings allow, and never more than some
 //! seconds of them are in memory.
-mod looks;
+pub(crate) mod looks;
 pub mod phones;
 pub mod picture;
+pub(crate) mod series;
 pub mod sound;
 pub mod stillness;
 pub mod sync;
 pub mod verdict;
-mod watch;
+pub(crate) mod watch;
 
 use std::path::Path;
 

@@ -14,6 +14,7 @@ pub mod pictures;
 pub mod plot;
 pub mod report;
 pub mod ridge;
+pub mod strangers;
 pub mod systems;
 pub mod tables;
 mod write;
