@@ -116,6 +116,7 @@ fn talker(root: &Path) -> FeatureFolder {
         corpus: "drawn".into(),
         start_mean: start_mean.to_vec(),
         visual_size: space.size(),
+        lips: false,
         clips,
         skipped: Vec::new(),
     };

@@ -5,6 +5,7 @@
 //! DIR/audio/ID.npy           f32 [frames, 39]  MFCC_E_D_A at 100 Hz, causally normalised
 //! DIR/visual/ID.npy          f32 [video frames, D]  eigenmouth weights at the video's own rate, without their mean
 //!                            over the clip (unless `--keep-clip-mean`): what stays for a whole clip is no speech
+//!                            with `--lips`: gap and width of the lips, D = 2, and no images or eigenmouths
 //! DIR/wav/ID.wav             16 kHz mono i16, the very samples that the features were computed from
 //! DIR/mouths/ID.npy          u8 [video frames, height, width, 3]  the mouth images behind the weights, RGB
 //! DIR/mouth.safetensors      the eigenmouth space (absent in an audio-only folder)
@@ -36,6 +37,9 @@ pub struct Manifest {
     pub start_mean: Vec<f32>,
     /// Numbers in a visual frame; 0 in an audio-only folder.
     pub visual_size: usize,
+    /// Whether a visual frame holds the lips' gap and width (`prepare --lips`), not weights of eigenmouths.
+    #[serde(default)]
+    pub lips: bool,
     /// The clips of all splits.
     pub clips: Vec<Clip>,
     /// Clips that could not be read, with the reason.
@@ -187,6 +191,21 @@ impl FeatureFolder {
             root: root.to_owned(),
             manifest,
         })
+    }
+
+    /// The folder, as long as its visual numbers are weights of eigenmouths.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Choice`]: it holds lips.
+    pub fn of_eigenmouths(self) -> Result<Self> {
+        ensure!(
+            !self.manifest.lips,
+            Choice,
+            "{} holds the gap and width of lips, not mouths: give it to `train --train mge --watched`",
+            self.root.display()
+        );
+        Ok(self)
     }
 
     /// Last part of its path: what a report calls it on other machines.
@@ -389,6 +408,7 @@ mod tests {
             corpus: "corpus".into(),
             start_mean: vec![0.0; lipstream_core::N_STATIC],
             visual_size: 0,
+            lips: false,
             clips: vec![Clip {
                 id: "a".into(),
                 speaker: "s".into(),

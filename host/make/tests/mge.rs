@@ -76,6 +76,8 @@ fn data(parent: &Model) -> Data {
     Data {
         train: stored(clips(parent, 24, true, &mut rng)),
         heard: stored(clips(parent, 6, false, &mut rng)),
+        watched: stored(Vec::new()),
+        gap: None,
         validation: stored(clips(parent, 6, true, &mut rng)),
         scale: vec![0.5; 13],
         deviation: (0..OUTPUTS).map(|d| 10.0 / (d + 1) as f32).collect(),
@@ -165,6 +167,8 @@ fn a_new_mouth_is_learnt_for_the_old_ears() {
     let new = Data {
         train: stored(others(&old.train)[..10].to_vec()),
         heard: Store::new(None).unwrap(),
+        watched: Store::new(None).unwrap(),
+        gap: None,
         validation: stored(others(&old.validation)),
         scale: old.scale.clone(),
         deviation: old.deviation.clone(),

@@ -114,6 +114,11 @@ impl OpeningReader {
         }
     }
 
+    /// By how much the gap changes with each parameter `[D]`, in its unit a real unit.
+    pub fn gap_slopes(&self) -> &Array1<f32> {
+        &self.gap.slopes
+    }
+
     /// The opening of a frame's parameters `[D]`, in real units; those of other groups behind the mouth's are left alone.
     pub fn read(&self, parameters: &[f32]) -> Opening {
         Opening {

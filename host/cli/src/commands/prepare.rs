@@ -48,6 +48,9 @@ pub(crate) struct Args {
     /// Leave the pictures of videos alone
     #[arg(long)]
     audio_only: bool,
+    /// Measure how open and wide the lips are, by landmarks, in place of mouths and eigenmouths: for `train --train mge --watched`
+    #[arg(long, conflicts_with_all = ["audio_only", "by_channel", "keep_clip_mean", "overlay"])]
+    lips: bool,
     /// Eigenmouths to keep
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u16).range(1..=1000))]
     eigenmouths: u16,
@@ -100,6 +103,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             (false, None) => Hearing::Shipped,
         },
         audio_only: args.audio_only,
+        lips: args.lips,
         eigenmouths: args.eigenmouths.into(),
         by_channel: args.by_channel,
         keep_clip_mean: args.keep_clip_mean,
@@ -148,8 +152,10 @@ fn words(s: &Summary) -> String {
     if s.split_by == "speaker" && s.train.speakers == s.train.clips {
         line("Every clip counts as its own speaker; if they are one person's, say --one-speaker.".into());
     }
-    if s.visual_size > 0 {
-        line(format!("{} eigenmouths", s.visual_size));
+    match s.visual_size {
+        0 => {}
+        _ if s.lips => line("gap and width of the lips, by landmarks".into()),
+        size => line(format!("{size} eigenmouths")),
     }
     if s.named_sentences > 0 {
         line(format!(

@@ -112,7 +112,7 @@ fn whole(args: Args) -> Result<()> {
     let (Some(dir), Some(output)) = (&args.dir, &args.output) else {
         bail!("give a feature folder and --output");
     };
-    let folder = FeatureFolder::open(dir)?;
+    let folder = FeatureFolder::open(dir)?.of_eigenmouths()?;
     if args.sound_only {
         return sound_only(&folder, &args, output);
     }
@@ -178,7 +178,7 @@ fn whole(args: Args) -> Result<()> {
                 Some(FloatModel::Likelihood(parent)) => train_mge::Start::Likelihood(parent),
                 Some(FloatModel::Recurrent(model)) => train_mge::Start::Recurrent(model),
             };
-            train_mge::run(&args.mge, &folder, &heard, &from, args.clips, args.seed, output)?;
+            train_mge::run(&args.mge, &folder, heard, &from, args.clips, args.seed, output)?;
         }
     }
     settings.resume.finish()?;

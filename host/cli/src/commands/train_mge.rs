@@ -1,7 +1,7 @@
 //! `lipstream train --train mge`: from a likelihood-trained model to one trained on the error of its mouth.
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 
 use super::choices;
 use crate::progress::Terminal;
@@ -10,6 +10,7 @@ use lipstream::kinds::recurrent::context::Context;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::mge::adapt::adapt;
+use lipstream_make::mge::data::Beside;
 use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::train::train;
 
@@ -75,6 +76,19 @@ pub(crate) struct Args {
     /// Share of the pieces of a batch that are disturbed so
     #[arg(long, default_value_t = MgeTrainSettings::default().disturbed)]
     disturbed: f32,
+    /// Feature folder of other people's videos, prepared with --lips: their lip gap is learnt from too; may be given many times
+    #[arg(long, value_name = "DIR")]
+    watched: Vec<PathBuf>,
+    /// Weight of the error towards the mouth that the phones of --audio's clips ask for, as learnt from the clips with video; 0: they teach hearing only
+    #[arg(long, default_value_t = MgeTrainSettings::default().taught_error)]
+    taught_error: f32,
+    /// Weight of the lip gap's error in --watched
+    #[arg(long, default_value_t = MgeTrainSettings::default().lip_error)]
+    lip_error: f32,
+    /// Share of those more hearings that are as somebody else would say it: another length of the vocal tract, another microphone, a voice that has been
+    /// heard for long
+    #[arg(long, default_value_t = MgeTrainSettings::default().other_voices)]
+    other_voices: f32,
     /// Look-aheads in frames of 10 ms that the model is to serve, up to the first tap; each piece has one of them
     #[arg(long, value_delimiter = ',', default_values_t = MgeTrainSettings::default().look_aheads)]
     look_aheads: Vec<usize>,
@@ -108,6 +122,9 @@ impl Args {
             clip_noise: self.noise,
             variants: self.variants,
             disturbed: self.disturbed,
+            other_voices: self.other_voices,
+            taught_error: self.taught_error,
+            lip_error: self.lip_error,
             look_aheads: self.look_aheads.clone(),
             error_power: self.error_power,
             hold_out: self.hold_out,
@@ -135,7 +152,7 @@ pub(crate) enum Start {
 pub(crate) fn run(
     args: &Args,
     folder: &FeatureFolder,
-    heard: &[FeatureFolder],
+    heard: Vec<FeatureFolder>,
     from: &Start,
     clips: Option<usize>,
     seed: u64,
@@ -157,7 +174,17 @@ pub(crate) fn run(
     let settings = args.settings(clips, seed);
     let progress = Terminal::default();
     let model = match from {
-        Start::Likelihood(parent) => train(folder, heard, parent, &settings, Some(&checkpoint), &progress)?,
+        Start::Likelihood(parent) => {
+            let watched = args.watched.iter().map(|path| FeatureFolder::open(path));
+            let beside = Beside {
+                heard,
+                watched: watched.collect::<Result<_, _>>()?,
+            };
+            train(folder, &beside, parent, &settings, Some(&checkpoint), &progress)?
+        }
+        Start::Recurrent(_) if !args.watched.is_empty() => {
+            bail!("a model that is adapted goes on hearing as it does: leave out --watched")
+        }
         Start::Recurrent(model) => adapt(folder, model, &settings, Some(&checkpoint), &progress)?,
     };
     model.write(output)?;

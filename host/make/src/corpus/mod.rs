@@ -3,6 +3,7 @@
 pub mod discover;
 mod heard;
 pub mod labels;
+pub(crate) mod lips;
 mod mend;
 mod overlay;
 pub mod phoneset;

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::discover::{self, ClipFiles, Found};
 use super::heard::{Heard, Hearing, Listener};
 use super::labels::{self, Labels, SpokenWord, transcript};
+use super::lips;
 use super::mend;
 use super::pronounce::{self, Pronouncer};
 use super::stamp::{self, Notes};
@@ -48,6 +49,8 @@ pub struct PrepareSettings {
     pub hearing: Hearing,
     /// Leaves the pictures of videos alone.
     pub audio_only: bool,
+    /// Measures lips by landmarks in place of mouth images and eigenmouths: for people whose motion is to be learnt, not their looks.
+    pub lips: bool,
     /// Eigenmouths to keep; fewer where there are not as many different images.
     pub eigenmouths: usize,
     /// So many eigenmouths of each colour, as in the paper, instead of joint ones.
@@ -72,6 +75,7 @@ impl Default for PrepareSettings {
             dictionary: None,
             hearing: Hearing::default(),
             audio_only: false,
+            lips: false,
             eigenmouths: 30,
             by_channel: false,
             keep_clip_mean: false,
@@ -163,6 +167,8 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
     observe(&clips, &settings.out, start_mean, progress)?;
     let visual_size = if settings.audio_only {
         0
+    } else if settings.lips {
+        lips::see(&mut clips, settings, progress, &mut skipped)?
     } else {
         visual::see(&mut clips, settings, progress, &mut skipped)?
     };
@@ -173,6 +179,7 @@ pub fn prepare(settings: &PrepareSettings, progress: &dyn Progress) -> Result<Su
         corpus: settings.corpus.display().to_string(),
         start_mean: start_mean.to_vec(),
         visual_size,
+        lips: settings.lips,
         clips: clips.iter().map(|c| c.clip.clone()).collect(),
         skipped,
     };

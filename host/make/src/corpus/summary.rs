@@ -42,6 +42,8 @@ pub struct Summary {
     pub test: SplitSummary,
     /// Numbers in a visual frame; 0 without video.
     pub visual_size: usize,
+    /// Whether these are the lips' gap and width.
+    pub lips: bool,
     /// Clips without any label, in which nobody heard phones.
     pub unlabelled: usize,
     /// Clips without any label whose phones were recognised.
@@ -114,6 +116,7 @@ pub(super) fn summarise(
         val: split(Split::Val),
         test: split(Split::Test),
         visual_size: manifest.visual_size,
+        lips: manifest.lips,
         unlabelled: clips.iter().filter(|c| !c.clip.is_labelled()).count(),
         recognised: heard(Heard::Recognised),
         aligned: heard(Heard::Aligned),

@@ -16,17 +16,15 @@ use lipstream_media::video::{self, Part};
 use serde::Serialize;
 
 use super::metrics::Score;
-use crate::check::looks::Look;
 use crate::check::series;
-use crate::check::watch::{self, Watched};
+use crate::check::watch;
+use crate::corpus::lips::lips;
 use crate::error::{Error, Result, bail};
 use ndarray::Array2;
 
 /// Lags that are tried, in milliseconds on either side, and their distance.
 const FARTHEST_MS: i32 = 150;
 const STEP_MS: i32 = 10;
-/// Share of a video's pictures that must show a face.
-const LEAST_SEEN: f32 = 0.8;
 /// Deviation of the Gaussian that smooths loudness, frames: as slow as a jaw.
 const JAW_FRAMES: f32 = 4.0;
 /// A video longer than this must be followed better than by its loudness.
@@ -138,23 +136,16 @@ fn observe(
         begins_s: 0.0,
         seconds: samples.len() as f64 / f64::from(SAMPLE_RATE_HZ),
     };
-    let Watched { rate_hz, looks, .. } = watch::watch(path, facts, &[whole], progress)?
-        .into_iter()
-        .next()
-        .unwrap_or_default();
-    let seen = looks.iter().flatten().count();
-    if looks.is_empty() || (seen as f32) < LEAST_SEEN * looks.len() as f32 {
-        bail!(Data, "a face is seen in {seen} of {} pictures", looks.len());
-    }
-    let of = |value: fn(&Look) -> f32| {
-        let values: Vec<Option<f32>> = looks.iter().map(|look| look.as_ref().map(value)).collect();
-        series::filled(&values)
+    let watched = watch::watch(path, facts, &[whole], progress)?;
+    let Some(watched) = watched.into_iter().next() else {
+        bail!(Data, "the video has no picture")
     };
+    let [gap, width] = lips(&watched)?;
     Ok(Observed {
         name: name.to_owned(),
-        rate_hz,
-        gap: of(|look| look.gap),
-        width: of(|look| look.mouth_width / look.face_width),
+        rate_hz: watched.rate_hz,
+        gap,
+        width,
         heard: hear(&samples, engine, reader)?,
     })
 }

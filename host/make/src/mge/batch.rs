@@ -1,7 +1,7 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
 use crate::error::Result;
 use lipstream_core::N_STATIC;
-use ndarray::{Array2, ArrayBase, Data, Ix2, s};
+use ndarray::{Array1, Array2, ArrayBase, ArrayView1, Data, Ix2, s};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -34,12 +34,41 @@ pub(super) struct Trainer<'a> {
     pub(super) weights: Vec<f32>,
 }
 
+/// What a clip is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Of {
+    /// The person whose mouth is trained.
+    Person,
+    /// Others, whose sound alone is known.
+    Heard,
+    /// Others, whose lip gap is known too.
+    Watched,
+}
+
+/// Frames of a batch, by what they are for.
+#[derive(Clone, Copy, Debug, Default)]
+struct Counts {
+    person: usize,
+    heard: usize,
+    watched: usize,
+}
+
+impl Counts {
+    fn of(&mut self, of: Of) -> &mut usize {
+        match of {
+            Of::Person => &mut self.person,
+            Of::Heard => &mut self.heard,
+            Of::Watched => &mut self.watched,
+        }
+    }
+}
+
 /// Which piece of which clip.
 #[derive(Clone, Copy, Debug)]
 struct Piece {
-    /// Index into the clips with video, or into those without.
+    /// Index into the clips of its kind.
     clip: usize,
-    heard: bool,
+    of: Of,
     /// The clip disturbed; none: as it is.
     variant: Option<usize>,
     /// Frames of future that are known.
@@ -72,8 +101,12 @@ impl Trainer<'_> {
         self.data.train.len().div_ceil(self.settings.batch)
     }
 
-    fn clips(&self, heard: bool) -> &Store {
-        if heard { &self.data.heard } else { &self.data.train }
+    fn clips(&self, of: Of) -> &Store {
+        match of {
+            Of::Person => &self.data.train,
+            Of::Heard => &self.data.heard,
+            Of::Watched => &self.data.watched,
+        }
     }
 
     /// The pieces of a step: its share of this pass's shuffled clips, whole or cropped.
@@ -86,6 +119,7 @@ impl Trainer<'_> {
         };
         let with_video = shuffled(self.data.train.len(), 1);
         let heard = shuffled(self.data.heard.len(), 2);
+        let watched = shuffled(self.data.watched.len(), 5);
         let mut rng = self.random(3, step as u64);
         let crop = rng.random::<f32>() < self.settings.crops;
         let share = |order: &[usize]| -> Vec<usize> {
@@ -93,9 +127,14 @@ impl Trainer<'_> {
             order[order.len() * index / n..order.len() * (index + 1) / n].to_vec()
         };
         let mut pieces = Vec::new();
-        for (order, heard) in [(share(&with_video), false), (share(&heard), true)] {
+        let kinds = [
+            (share(&with_video), Of::Person),
+            (share(&heard), Of::Heard),
+            (share(&watched), Of::Watched),
+        ];
+        for (order, of) in kinds {
             for clip in order {
-                let note = self.clips(heard).note(clip);
+                let note = self.clips(of).note(clip);
                 let variants = &note.variants;
                 let variant = (!variants.is_empty() && rng.random::<f32>() < self.settings.disturbed)
                     .then(|| rng.random_range(0..variants.len()));
@@ -122,7 +161,7 @@ impl Trainer<'_> {
                 };
                 pieces.push(Piece {
                     clip,
-                    heard,
+                    of,
                     variant,
                     ahead,
                     from,
@@ -138,10 +177,10 @@ impl Trainer<'_> {
         Pcg64::seed_from_u64(self.settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (stream << 56) ^ at)
     }
 
-    /// Loss and gradient of one piece, already divided by the batch's frames (`video`, `heard`).
-    fn learn(&self, net: &Net, piece: &Piece, frames: (usize, usize), rng: &mut Pcg64) -> Result<Share> {
+    /// Loss and gradient of one piece, already divided by the batch's frames of its kind.
+    fn learn(&self, net: &Net, piece: &Piece, mut frames: Counts, rng: &mut Pcg64) -> Result<Share> {
         let settings = self.settings;
-        let clip = self.clips(piece.heard).get(piece.clip)?;
+        let clip = self.clips(piece.of).get(piece.clip)?;
         let (of, first) = match piece.variant {
             None => (&clip.x, 0),
             Some(v) => (&clip.variants[v].x, clip.variants[v].first),
@@ -178,25 +217,46 @@ impl Trainer<'_> {
             .collect();
         let mut g_output = Array2::zeros((piece.frames, shape.outputs));
         let mut error = 0.0;
-        let n = if piece.heard { frames.1 } else { frames.0 } as f32;
+        let n = *frames.of(piece.of) as f32;
+        let (audio, visual) = match piece.of {
+            Of::Person => (settings.audio_entropy, settings.visual_entropy),
+            Of::Heard => (settings.heard_entropy, 0.0),
+            Of::Watched => (0.0, 0.0),
+        };
         let entropy = Entropy {
-            audio: if piece.heard {
-                settings.heard_entropy
-            } else {
-                settings.audio_entropy
-            } / n,
-            visual: if piece.heard { 0.0 } else { settings.visual_entropy } / n,
+            audio: audio / n,
+            visual: visual / n,
             atoms: settings.atoms,
         };
-        if let (Some(mouth), false) = (&clip.mouth, piece.heard) {
-            let mouth = piece.cut(&mouth.slice(s![first..first + length, ..]), piece.frames);
-            for t in 0..piece.frames {
-                for (d, w) in self.weights.iter().enumerate() {
-                    let e = tape.output[[t, d]] - mouth[[t, d]];
-                    error += f64::from(w * e * e);
-                    g_output[[t, d]] = 2.0 * w * e / n;
+        let mouth = clip
+            .mouth
+            .as_ref()
+            .map(|mouth| piece.cut(&mouth.slice(s![first..first + length, ..]), piece.frames));
+        match (mouth, piece.of, &self.data.gap) {
+            (Some(mouth), Of::Person | Of::Heard, _) => {
+                let share = match piece.of {
+                    Of::Heard => settings.taught_error,
+                    _ => 1.0,
+                };
+                for t in 0..piece.frames {
+                    for (d, w) in self.weights.iter().enumerate() {
+                        let w = share * w;
+                        let e = tape.output[[t, d]] - mouth[[t, d]];
+                        error += f64::from(w * e * e);
+                        g_output[[t, d]] = 2.0 * w * e / n;
+                    }
                 }
             }
+            (Some(mouth), Of::Watched, Some(gap)) => {
+                let gap = ArrayView1::from(gap);
+                let wrong = gap_error(tape.output.dot(&gap).view(), mouth.column(0));
+                for (t, e) in wrong.iter().enumerate() {
+                    error += f64::from(settings.lip_error * e * e);
+                    let pull = 2.0 * settings.lip_error * e / n;
+                    g_output.row_mut(t).scaled_add(pull, &gap);
+                }
+            }
+            _ => {}
         }
         let mut gradient = Parameters::zeros(shape);
         tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
@@ -212,8 +272,10 @@ impl Trainer<'_> {
     /// Gradient and losses of a step.
     pub(super) fn batch(&self, parameters: &Parameters, step: usize) -> Result<Share> {
         let pieces = self.pieces(step);
-        let count = |heard: bool| pieces.iter().filter(|p| p.heard == heard).map(|p| p.frames).sum();
-        let frames: (usize, usize) = (count(false), count(true));
+        let mut frames = Counts::default();
+        for piece in &pieces {
+            *frames.of(piece.of) += piece.frames;
+        }
         let net = Net::new(parameters, &self.chain, LEAST);
         let mut total = Share {
             gradient: Parameters::zeros(&parameters.shape),
@@ -241,6 +303,14 @@ impl Trainer<'_> {
         }
         Ok(total)
     }
+}
+
+/// By how much a gap is wrong in each frame of a piece. How open a stranger's mouth is on average says nothing: of both the mean is taken off.
+fn gap_error(said: ArrayView1<f32>, truth: ArrayView1<f32>) -> Array1<f32> {
+    let mut wrong = &said - &truth;
+    let mean = wrong.mean().unwrap_or(0.0);
+    wrong -= mean;
+    wrong
 }
 
 /// Pieces whose gradients are held at once.

@@ -2,11 +2,12 @@
 use std::path::Path;
 
 use lipstream_core::N_STATIC;
-use ndarray::{Array2, ArrayView1, ArrayView2, s};
+use ndarray::{Array2, ArrayView1, ArrayView2, Axis, s};
 
 use super::disturb::{Disturbance, Variant};
 use super::settings::MgeTrainSettings;
 use super::store::Store;
+use super::teach::Teacher;
 use crate::em::source::{Source, Utterance, in_order};
 use crate::em::{Aligner, Parameters as HmmParameters};
 use crate::error::{Error, Result, bail};
@@ -15,7 +16,9 @@ use crate::noise;
 use crate::train::data::{Clips, Observed};
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
+use lipstream::opening::OpeningReader;
 use lipstream::progress::Progress;
+use lipstream::reference::{self, normalise};
 use lipstream_media::sound;
 
 /// One clip.
@@ -39,6 +42,10 @@ pub struct Data {
     pub train: Store,
     /// Clips without video.
     pub heard: Store,
+    /// Clips of other people, of whom the lip gap alone is known: a mouth of one number, standardised in each clip.
+    pub watched: Store,
+    /// What the lip gap is in standardised mouth parameters `[D]`, in deviations of the training clips' own; None where the mouth's lips cannot be read.
+    pub gap: Option<Vec<f32>>,
     /// Clips that choose the pass whose parameters are kept; may be none.
     pub validation: Store,
     /// One over the deviation of each static.
@@ -51,16 +58,16 @@ pub struct Data {
 /// memory.
 ///
 /// `settings.clips` training clips with video are taken, drawn by the seed; the last `settings.hold_out` of all training
-/// clips join the validation clips. Every training clip is heard `settings.variants` times more, disturbed.
+/// clips join the validation clips. Every training clip is heard `settings.variants` times more, disturbed. `beside` are the other people.
 pub fn read(
     folder: &FeatureFolder,
-    audio_only: &[FeatureFolder],
+    beside: &Beside,
     parent: &Model,
     settings: &MgeTrainSettings,
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
-    read_with(folder, audio_only, parent, None, settings, aside, progress)
+    read_with(folder, beside, parent, None, settings, aside, progress)
 }
 
 /// Reads a folder for a model that goes on hearing as it does: the statics have its `scale`, and nothing is aligned, since only the mouth is to
@@ -73,18 +80,33 @@ pub fn read_to_adapt(
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
-    read_with(folder, &[], parent, Some(scale), settings, aside, progress)
+    read_with(
+        folder,
+        &Beside::default(),
+        parent,
+        Some(scale),
+        settings,
+        aside,
+        progress,
+    )
 }
 
 fn read_with(
     folder: &FeatureFolder,
-    audio_only: &[FeatureFolder],
+    Beside { heard, watched }: &Beside,
     parent: &Model,
     adapts: Option<&[f32]>,
     settings: &MgeTrainSettings,
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
+    if let Some(lips) = [folder]
+        .into_iter()
+        .chain(heard)
+        .find(|folder| folder.manifest.lips)
+    {
+        lips.clone().of_eigenmouths()?;
+    }
     if folder.manifest.visual_size != parent.visual_size() {
         bail!(
             Choice,
@@ -132,7 +154,7 @@ fn read_with(
     };
     let reader = Reader {
         aligner: adapts.is_none().then(|| Aligner::new(&hmm)),
-        babble: match (settings.variants, audio_only) {
+        babble: match (settings.variants, heard.as_slice()) {
             (0, _) => Vec::new(),
             (_, []) => voices(folder)?,
             (_, others) => {
@@ -142,24 +164,85 @@ fn read_with(
         },
         scale: &scale,
         deviation: &deviation,
-        seed: settings.seed,
+        start_mean: std::array::from_fn(|d| parent.start_mean[d]),
+        settings,
         progress,
     };
     let mut data = Data {
         train: Store::new(aside)?,
         heard: Store::new(aside)?,
+        watched: Store::new(aside)?,
+        gap: None,
         validation: Store::new(aside)?,
         scale: scale.clone(),
         deviation: deviation.clone(),
     };
-    reader.read(folder, &train, settings.variants, &mut data.train)?;
-    for other in audio_only {
+    reader.read(folder, &train, settings.variants, None, &mut data.train)?;
+    let teacher = match settings.taught_error > 0.0 && !heard.is_empty() {
+        true => Some(Teacher::learn(&data.train, &parent.phones)?),
+        false => None,
+    };
+    for other in heard {
         let clips = Clips::new(other, Split::Train, &parent.phones, progress).observed(Observed::Sound);
         let clips = clips.readable(false, progress);
-        reader.read(other, &clips, settings.variants, &mut data.heard)?;
+        reader.read(
+            other,
+            &clips,
+            settings.variants,
+            teacher.as_ref(),
+            &mut data.heard,
+        )?;
     }
-    reader.read(folder, &validation, 0, &mut data.validation)?;
+    for other in watched {
+        if !other.manifest.lips {
+            bail!(
+                Choice,
+                "{} holds no lips: prepare the videos with --lips",
+                other.root.display()
+            );
+        }
+        let clips = Clips::unlabelled(other, Split::Train, &parent.phones).readable(false, progress);
+        reader.watch(other, &clips, &mut data.watched)?;
+    }
+    reader.read(folder, &validation, 0, None, &mut data.validation)?;
+    data.gap = gap_of(parent, &data)?;
+    if !data.watched.is_empty() && data.gap.is_none() {
+        bail!(
+            Data,
+            "the lips of this mouth cannot be read off its eigenmouths: nothing can be learnt from other people's"
+        );
+    }
     Ok(data)
+}
+
+/// Folders of other people, beside the one whose mouth is trained.
+#[derive(Clone, Debug, Default)]
+pub struct Beside {
+    /// Whose sound is heard, with what they say.
+    pub heard: Vec<FeatureFolder>,
+    /// Whose lips are watched while they speak, whatever they say (`prepare --lips`).
+    pub watched: Vec<FeatureFolder>,
+}
+
+/// The lip gap as a line in standardised parameters, of deviation 1 over the training clips.
+fn gap_of(parent: &Model, data: &Data) -> Result<Option<Vec<f32>>> {
+    let Some(reader) = parent.mouth.as_ref().and_then(OpeningReader::of) else {
+        return Ok(None);
+    };
+    let slopes = reader.gap_slopes() * &ArrayView1::from(&data.deviation);
+    let mut gaps = Deviations::default();
+    in_order(
+        data.train.len(),
+        |n| data.train.get(n),
+        |clip| {
+            if let Some(mouth) = &clip.mouth {
+                gaps.add(mouth.dot(&slopes).insert_axis(Axis(1)).view());
+            }
+            Ok(())
+        },
+    )?;
+    let deviation = gaps.deviations().next().unwrap_or(1.0);
+    Ok(Some((slopes / deviation).to_vec()))
 }
 
 /// Leaves in `train` the clips to train on, and returns those that are held out.
@@ -183,19 +266,28 @@ struct Reader<'a> {
     babble: Vec<Vec<i16>>,
     scale: &'a [f32],
     deviation: &'a [f32],
-    seed: u64,
+    /// Where the trained model's running mean will start.
+    start_mean: [f32; N_STATIC],
+    settings: &'a MgeTrainSettings,
     progress: &'a dyn Progress,
 }
 
 impl Reader<'_> {
-    /// Reads, aligns and stores clips of `folder`, each heard `variants` times more.
-    fn read(&self, folder: &FeatureFolder, clips: &Clips, variants: usize, store: &mut Store) -> Result<()> {
+    /// Reads, aligns and stores clips of `folder`, each heard `variants` times more. Clips without a mouth get what the teacher says.
+    fn read(
+        &self,
+        folder: &FeatureFolder,
+        clips: &Clips,
+        variants: usize,
+        teacher: Option<&Teacher>,
+        store: &mut Store,
+    ) -> Result<()> {
         let Self {
             aligner,
             babble,
             scale,
             deviation,
-            seed,
+            settings,
             ..
         } = self;
         let work = |n: usize| {
@@ -207,9 +299,13 @@ impl Reader<'_> {
             let Some(states) = states else {
                 return Ok(Err(u.id));
             };
-            let variants = disturbed(folder, &u, babble, scale, variants, *seed)?;
+            let start_mean = std::array::from_fn(|d| folder.manifest.start_mean[d]);
+            let variants = disturbed(folder, &u, babble, (&start_mean, scale), variants, settings)?;
             let x = u.audio.slice(s![.., ..N_STATIC]).to_owned() * ArrayView1::from(*scale);
-            let mouth = u.visual.map(|v| v / ArrayView1::from(*deviation));
+            let mouth = match u.visual {
+                Some(visual) => Some(visual / ArrayView1::from(*deviation)),
+                None => teacher.map(|teacher| teacher.say(&states)),
+            };
             Ok(Ok(Clip {
                 id: u.id,
                 x,
@@ -225,6 +321,44 @@ impl Reader<'_> {
                     .say(&format!("left out: clip {id}: no path through its words"));
                 Ok(())
             }
+        })
+    }
+
+    /// Reads and stores clips of people whose lips are watched. They are heard as the trained model will hear a stranger, from its own mean on.
+    fn watch(&self, folder: &FeatureFolder, clips: &Clips, store: &mut Store) -> Result<()> {
+        let work = |n: usize| {
+            let u = clips.get(n)?.into_owned();
+            let samples = sound::read(&folder.wav_path(&u.id))
+                .map_err(Error::other)?
+                .samples;
+            let raw = reference::statics(&samples);
+            let x = normalise::causal(raw.view(), &self.start_mean).mapv(|v| v as f32)
+                * ArrayView1::from(self.scale);
+            let with = (&self.start_mean, self.scale);
+            let variants = disturbed(
+                folder,
+                &u,
+                &self.babble,
+                with,
+                self.settings.variants,
+                self.settings,
+            )?;
+            let mouth = u.visual.as_ref().map(|lips| {
+                let gap = lips.column(0);
+                let (mean, deviation) = (gap.mean().unwrap_or(0.0), gap.std(0.0).max(1e-4));
+                gap.mapv(|v| (v - mean) / deviation).insert_axis(Axis(1))
+            });
+            Ok(Clip {
+                states: vec![(0, 0); x.nrows()],
+                id: u.id,
+                x,
+                mouth,
+                variants,
+            })
+        };
+        in_order(clips.len(), work, |clip| match clip.mouth.is_some() {
+            true => store.push(&clip),
+            false => Ok(()),
         })
     }
 }
@@ -248,22 +382,21 @@ fn disturbed(
     folder: &FeatureFolder,
     clip: &Utterance,
     babble: &[Vec<i16>],
-    scale: &[f32],
+    (start_mean, scale): (&[f32; N_STATIC], &[f32]),
     variants: usize,
-    seed: u64,
+    settings: &MgeTrainSettings,
 ) -> Result<Vec<Variant>> {
     if variants == 0 {
         return Ok(Vec::new());
     }
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
-    let start_mean: [f32; N_STATIC] = std::array::from_fn(|d| folder.manifest.start_mean[d]);
     let samples = sound::read(&folder.wav_path(&clip.id))
         .map_err(Error::other)?
         .samples;
-    let mut rng = noise::generator(seed, &clip.id, "disturbed");
+    let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
     let variants = (0..variants).map(|_| {
-        let disturbance = Disturbance::draw(clip.audio.nrows(), &mut rng);
-        disturbance.hear(&samples, &babble, &start_mean, scale, &mut rng)
+        let disturbance = Disturbance::draw(clip.audio.nrows(), settings.other_voices, &mut rng);
+        disturbance.hear(&samples, &babble, start_mean, scale, &mut rng)
     });
     Ok(variants.collect())
 }
@@ -331,6 +464,7 @@ mod tests {
                 corpus: String::new(),
                 start_mean: vec![0.0; N_STATIC],
                 visual_size: 1,
+                lips: false,
                 clips: (0..clips).map(clip).collect(),
                 skipped: Vec::new(),
             },

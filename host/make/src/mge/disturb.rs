@@ -1,11 +1,13 @@
 //! Training clips as another room would give them: noise, babble, another level, a jump of the level, a stream that begins in
-//! mid-clip. The front end hears each disturbed sound anew, its running mean included.
+//! mid-clip. And as somebody else would say them: with a vocal tract of another length, through another microphone, to a stream that has
+//! heard this voice for long. The front end hears each disturbed sound anew, its running mean included.
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_STATIC};
 use ndarray::Array2;
 use rand::{Rng, RngExt};
 
 use crate::noise;
-use lipstream::reference::{self, normalise};
+use lipstream::random::normal;
+use lipstream::reference::{Analyser, SpeechMean, normalise};
 
 /// A clip heard once more.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,6 +23,12 @@ const RATIOS_DB: std::ops::Range<f64> = 0.0..30.0;
 /// Change of the level of the whole sound, and greatest jump inside it, dB.
 const LEVELS_DB: std::ops::Range<f64> = -20.0..6.0;
 const JUMP_DB: f64 = 10.0;
+/// How much higher or lower another voice's frequencies are, as a factor: ln 1.25.
+const VOICE: f64 = 0.22;
+/// Greatest weight of the sample before, added to a sample: a microphone that is bright or dull, ±6 dB between low and high.
+const TILT: f64 = 0.35;
+/// Deviation of what a voice's mean is mistaken by, in deviations of the statics.
+const MISTAKEN: f64 = 0.15;
 /// Frames that are left of a clip that begins in its middle, at least.
 const LEAST_FRAMES: usize = 160;
 
@@ -32,12 +40,42 @@ pub struct Disturbance {
     level_db: f64,
     /// Share of the sound after which the level changes, and by how much, dB.
     jump: Option<(f64, f64)>,
+    /// Somebody else; None: the voice as it is.
+    voice: Option<Voice>,
+}
+
+/// Somebody else says it.
+#[derive(Clone, Copy, Debug)]
+struct Voice {
+    /// How much higher all frequencies are.
+    factor: f64,
+    /// Weight of the sample before.
+    tilt: f64,
+    /// The running mean has been this voice's for long, but for so many deviations.
+    known: Option<[f64; N_STATIC]>,
+}
+
+impl Voice {
+    fn draw(rng: &mut impl Rng) -> Self {
+        let (warps, tilts, is_known) = (
+            rng.random::<f64>() < 0.7,
+            rng.random::<f64>() < 0.5,
+            rng.random::<f64>() < 0.5,
+        );
+        let (warp, tilt) = (rng.random_range(-VOICE..VOICE), rng.random_range(-TILT..TILT));
+        let mistaken = std::array::from_fn(|_| MISTAKEN * f64::from(normal(rng)));
+        Self {
+            factor: if warps { warp.exp() } else { 1.0 },
+            tilt: if tilts { tilt } else { 0.0 },
+            known: is_known.then_some(mistaken),
+        }
+    }
 }
 
 impl Disturbance {
     /// A random one for a clip of `frames` frames: noise in four of five, another level in half, a jump in one of five,
-    /// a later beginning in half of those that are long enough.
-    pub fn draw(frames: usize, rng: &mut impl Rng) -> Self {
+    /// a later beginning in half of those that are long enough; a share of `other_voices` as somebody else would say them.
+    pub fn draw(frames: usize, other_voices: f32, rng: &mut impl Rng) -> Self {
         let mut chance = |share: f64| rng.random::<f64>() < share;
         let (is_noisy, is_white, other_level, jumps, is_cold) =
             (chance(0.8), chance(0.5), chance(0.5), chance(0.2), chance(0.5));
@@ -51,7 +89,11 @@ impl Disturbance {
         let level = rng.random_range(LEVELS_DB);
         let (at, by) = (rng.random::<f64>(), rng.random_range(-JUMP_DB..JUMP_DB));
         let first = rng.random_range(0..=room);
+        // Drawn only where it is asked for: what is drawn otherwise stays as it was.
+        let is_other = other_voices > 0.0 && rng.random::<f32>() < other_voices;
+        let voice = is_other.then(|| Voice::draw(rng));
         Self {
+            voice,
             first: if is_cold { first } else { 0 },
             noise: is_noisy.then_some((kind, ratio)),
             level_db: if other_level { level } else { 0.0 },
@@ -86,9 +128,19 @@ impl Disturbance {
             let db = self.level_db + if n < turn { 0.0 } else { later_db };
             *s = (f64::from(*s) * 10f64.powf(db / 20.0)).round() as i16; // `as` saturates
         }
+        if let Some(voice) = &self.voice {
+            tilted(&mut sound, voice.tilt);
+        }
         let from = (self.first * HOP_SAMPLES).min(sound.len().saturating_sub(FRAME_SAMPLES));
-        let raw = reference::statics(&sound[from..]);
-        let normalised = normalise::causal(raw.view(), start_mean);
+        let factor = self.voice.map_or(1.0, |voice| voice.factor);
+        let raw = Analyser::of_voice(factor).statics(&sound[from..]);
+        let mut mean = *start_mean;
+        if let Some(mistaken) = self.voice.and_then(|voice| voice.known)
+            && let Some(own) = speech_mean(&raw)
+        {
+            mean = std::array::from_fn(|d| own[d] + (mistaken[d] / f64::from(scale[d])) as f32);
+        }
+        let normalised = normalise::causal(raw.view(), &mean);
         Variant {
             first: from / HOP_SAMPLES,
             x: Array2::from_shape_fn(normalised.dim(), |(t, d)| normalised[[t, d]] as f32 * scale[d]),
@@ -96,9 +148,28 @@ impl Disturbance {
     }
 }
 
+/// Mean of the raw statics over speech; None where nothing is heard to be speech.
+fn speech_mean(raw: &Array2<f64>) -> Option<[f32; N_STATIC]> {
+    let mut mean = SpeechMean::default();
+    mean.add(raw.view());
+    mean.mean()
+}
+
+/// Adds the sample before, so many times as strong, and keeps the level of an even spectrum.
+fn tilted(sound: &mut [i16], weight: f64) {
+    let gain = 1.0 / (1.0 + weight * weight).sqrt();
+    let mut before = 0.0;
+    for s in sound {
+        let here = f64::from(*s);
+        *s = (gain * (here + weight * before)).round() as i16; // `as` saturates
+        before = here;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use lipstream::reference;
     use rand::SeedableRng;
     use rand_pcg::Pcg64;
 
@@ -119,6 +190,7 @@ mod tests {
             noise: None,
             level_db: 0.0,
             jump: None,
+            voice: None,
         };
         let (mean, scale) = ([1.0; N_STATIC], [0.5; N_STATIC]);
         let heard = none.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
@@ -142,6 +214,7 @@ mod tests {
             noise: None,
             level_db: 0.0,
             jump: None,
+            voice: None,
         };
         let mean = [0.0; N_STATIC];
         let heard = late.hear(
@@ -159,11 +232,52 @@ mod tests {
     #[test]
     fn draws_differ_and_stay_inside_the_clip() {
         let mut rng = Pcg64::seed_from_u64(3);
-        let drawn: Vec<Disturbance> = (0..200).map(|_| Disturbance::draw(298, &mut rng)).collect();
+        let drawn: Vec<Disturbance> = (0..200).map(|_| Disturbance::draw(298, 0.0, &mut rng)).collect();
         assert!(drawn.iter().all(|d| d.first <= 298 - LEAST_FRAMES));
         assert!(drawn.iter().filter(|d| d.noise.is_some()).count() > 130);
         assert!(drawn.iter().filter(|d| d.first > 0).count() > 70);
         assert!(drawn.iter().any(|d| d.jump.is_some() && d.level_db < -10.0));
-        assert!((0..50).all(|_| Disturbance::draw(40, &mut rng).first == 0));
+        assert!((0..50).all(|_| Disturbance::draw(40, 0.0, &mut rng).first == 0));
+    }
+
+    #[test]
+    fn a_voice_that_is_known_has_no_mean_left() {
+        let samples = tone(48_000);
+        let known = Disturbance {
+            first: 0,
+            noise: None,
+            level_db: 0.0,
+            jump: None,
+            voice: Some(Voice {
+                factor: 1.1,
+                tilt: 0.2,
+                known: Some([0.0; N_STATIC]),
+            }),
+        };
+        let (mean, scale) = ([50.0; N_STATIC], [1.0; N_STATIC]);
+        let heard = known.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
+        let mean_of = |x: &Array2<f32>| x.mean_axis(ndarray::Axis(0)).unwrap();
+        let strange = Disturbance { voice: None, ..known };
+        let unknown = strange.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
+        let (known, unknown) = (mean_of(&heard.x), mean_of(&unknown.x));
+        // A stream that begins with a mean of 50 is still far off after three seconds.
+        assert!(known.iter().take(12).all(|m| m.abs() < 5.0), "{known}");
+        assert!(unknown.iter().take(12).all(|m| *m < -15.0), "{unknown}");
+    }
+
+    #[test]
+    fn other_voices_differ_and_none_are_drawn_where_none_are_wanted() {
+        let mut rng = Pcg64::seed_from_u64(3);
+        let mut drawn = |share| -> Vec<Option<Voice>> {
+            (0..300)
+                .map(|_| Disturbance::draw(298, share, &mut rng).voice)
+                .collect()
+        };
+        assert!(drawn(0.0).iter().all(Option::is_none));
+        let voices: Vec<Voice> = drawn(0.5).into_iter().flatten().collect();
+        assert!((100..200).contains(&voices.len()));
+        assert!(voices.iter().any(|v| v.factor > 1.15) && voices.iter().any(|v| v.factor < 0.87));
+        assert!(voices.iter().all(|v| (0.79..1.26).contains(&v.factor)));
+        assert!(voices.iter().any(|v| v.known.is_some()) && voices.iter().any(|v| v.known.is_none()));
     }
 }

@@ -17,4 +17,5 @@ pub mod rounding;
 pub mod settings;
 pub mod start;
 pub mod store;
+pub mod teach;
 pub mod train;

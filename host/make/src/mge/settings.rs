@@ -51,6 +51,12 @@ pub struct MgeTrainSettings {
     pub variants: usize,
     /// Share of pieces that are heard disturbed, 0 to below 1.
     pub disturbed: f32,
+    /// Share of the disturbed hearings that are as somebody else would say them, 0 to 1.
+    pub other_voices: f32,
+    /// κ_t: weight of the error towards what the phones of clips without video say of their mouth ([`teach`](super::teach)), per frame; 0: they say nothing.
+    pub taught_error: f32,
+    /// κ_l: weight of the lip gap's error in videos of other people, per frame.
+    pub lip_error: f32,
     /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
     pub look_aheads: Vec<usize>,
     /// ρ: 0 weighs standardised parameters alike, 2 is the plain squared error.
@@ -91,6 +97,9 @@ impl Default for MgeTrainSettings {
             feedback_dropout: 0.1,
             variants: 6,
             disturbed: 0.3,
+            other_voices: 0.0,
+            taught_error: 0.0,
+            lip_error: 0.3,
             look_aheads: vec![3, 6, 8],
             error_power: 1.0,
             rule: Rule::default(),
@@ -129,7 +138,16 @@ impl MgeTrainSettings {
                 bail!(Choice, "the {name} is {share}: give 0 or more, less than 1");
             }
         }
+        if !(0.0..=1.0).contains(&self.other_voices) {
+            bail!(
+                Choice,
+                "the share of other voices is {}: give 0 to 1",
+                self.other_voices
+            );
+        }
         let positive = [
+            self.lip_error,
+            self.taught_error,
             self.audio_entropy,
             self.visual_entropy,
             self.heard_entropy,

@@ -2,9 +2,12 @@
 //!
 //! With e = ŷ − y (standardised), weights w_d = σ_d^ρ / Σσ^ρ, and (a_t, v_t) the forced alignment, a batch's loss is
 //! ```text
-//! E = 1/T Σ_t Σ_d w_d e²_td − κ_a/T Σ ln γᵃ_t(a_t) − κ_v/T Σ ln γᵛ_t(v_t) − κ_h/T_h Σ_heard ln γᵃ_t(a_t)   (M10)
+//! E = 1/T Σ_t Σ_d w_d e²_td − κ_a/T Σ ln γᵃ_t(a_t) − κ_v/T Σ ln γᵛ_t(v_t)
+//!     − κ_h/T_h Σ_heard ln γᵃ_t(a_t) + κ_t/T_h Σ_heard Σ_d w_d (y − what its phones say)²_td
+//!     + κ_l/T_l Σ_watched (g_t − ĝ_t − mean)²   (M10)
 //! ```
-//! over the T frames of its clips with video and the T_h frames of those without. Random numbers depend on the seed, the
+//! over the T frames of its clips with video, the T_h frames of those without, and the T_l frames of other people of whom the lip gap g alone is known;
+//! ĝ is what is read off the mouth, in deviations, and the mean over the piece is taken off, since everybody's mouth has its own. Random numbers depend on the seed, the
 //! step and the clip's place only, and sums are taken in the order of the clips: neither threads nor interruptions
 //! change the result.
 use std::path::Path;
@@ -14,7 +17,7 @@ use ndarray::Array2;
 
 use super::batch::Trainer;
 use super::checkpoint::{self, Best};
-use super::data::{self, Clip, Data};
+use super::data::{self, Beside, Clip, Data};
 use super::judge::{Judgement, judge};
 use super::optimise::{Optimiser, Rule};
 use super::settings::MgeTrainSettings;
@@ -33,7 +36,7 @@ use lipstream::progress::Progress;
 /// leave off.
 pub fn train(
     folder: &FeatureFolder,
-    audio_only: &[FeatureFolder],
+    beside: &Beside,
     parent: &Model,
     settings: &MgeTrainSettings,
     checkpoint: Option<&Path>,
@@ -43,11 +46,12 @@ pub fn train(
     check_parent(parent).map_err(Error::other)?;
     progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
-    let data = data::read(folder, audio_only, parent, settings, aside, progress)?;
+    let data = data::read(folder, beside, parent, settings, aside, progress)?;
     progress.say(&format!(
-        "{} clips with video, {} with sound only, {} to validate on",
+        "{} clips with video, {} with sound only, {} of other people's lips, {} to validate on",
         data.train.len(),
         data.heard.len(),
+        data.watched.len(),
         data.validation.len()
     ));
     train_on(&data, parent, settings, checkpoint, progress)
@@ -188,10 +192,11 @@ pub(super) fn run(
         deviation: data.deviation.clone(),
         least: LEAST,
         provenance: format!(
-            "coupled HMM trained on the error of its mouth; {} clips with video, {} with sound only, each heard {} times more with \
+            "coupled HMM trained on the error of its mouth; {} clips with video, {} with sound only, {} of other people's lips, each heard {} times more with \
              noise, other levels and later beginnings; for look-aheads of {} frames; {} passes, seed {}; started from: {}",
             data.train.len(),
             data.heard.len(),
+            data.watched.len(),
             settings.variants,
             settings
                 .look_aheads
@@ -221,7 +226,8 @@ fn begin(
         Ok(Seen {
             context: shape.context.stack(&clip.x, clip.x.nrows()),
             states: clip.states,
-            mouth: clip.mouth,
+            // What is taught is no mouth to start from.
+            mouth: clip.mouth.filter(|_| n < own),
         })
     };
     let transition = Array2::from_shape_vec(
@@ -326,7 +332,7 @@ fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
         }
         Ok(())
     };
-    for clips in [&data.train, &data.heard, &data.validation] {
+    for clips in [&data.train, &data.heard, &data.watched, &data.validation] {
         in_order(clips.len(), |n| clips.get(n), &mut eat_clip)?;
     }
     Ok(hash.value())

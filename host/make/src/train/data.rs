@@ -398,6 +398,7 @@ mod tests {
                 corpus: String::new(),
                 start_mean: vec![0.0; lipstream_core::N_STATIC],
                 visual_size: 0,
+                lips: false,
                 clips: vec![
                     clip("labelled", &["sil", "b", "sil"], PhonesFrom::Labels),
                     clip("unknown", &[], PhonesFrom::Labels),

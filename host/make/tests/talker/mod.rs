@@ -95,6 +95,7 @@ pub(crate) fn made_up_talker(root: &Path, train: usize) -> FeatureFolder {
         corpus: "made-up".to_owned(),
         start_mean: vec![0.0; 13],
         visual_size: 2,
+        lips: false,
         clips,
         skipped: Vec::new(),
     };

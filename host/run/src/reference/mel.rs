@@ -23,20 +23,34 @@ pub struct Filterbank {
 
 impl Default for Filterbank {
     fn default() -> Self {
+        Self::of_voice(1.0)
+    }
+}
+
+/// A warp of the vocal tract's length holds up to this share of half the sampling rate; above, it bends so that 8 kHz stays where it is.
+const WARPED: f64 = 0.8;
+
+impl Filterbank {
+    /// Channels that hear a voice as if all its frequencies were `factor` times as high: above 1 a shorter vocal tract, as of women and children.
+    pub fn of_voice(factor: f64) -> Self {
+        let half = f64::from(lipstream_core::SAMPLE_RATE_HZ) / 2.0;
+        let edge = WARPED * half * (1.0 / factor).min(1.0);
+        let warped = |hz: f64| match hz <= edge {
+            true => factor * hz,
+            false => factor * edge + (half - factor * edge) / (half - edge) * (hz - edge),
+        };
         let rate = f64::from(lipstream_core::SAMPLE_RATE_HZ);
         let spacing = mel(rate / 2.0) / (N_MEL + 1) as f64;
         let below = (1..=N_BINS)
             .map(|bin| {
-                let position = mel(bin as f64 * rate / FFT_POINTS as f64) / spacing;
+                let position = mel(warped(bin as f64 * rate / FFT_POINTS as f64)) / spacing;
                 let channel = (position.floor() as usize).min(N_MEL);
                 (channel, (channel + 1) as f64 - position)
             })
             .collect();
         Self { below }
     }
-}
 
-impl Filterbank {
     /// Channel below each bin, counted from 1 (0 = none), and its share of the bin; bins 1..=255.
     pub fn shares(&self) -> &[(usize, f64)] {
         &self.below
@@ -55,5 +69,40 @@ impl Filterbank {
             }
         }
         sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Channel with the largest sum when a single bin sounds.
+    fn loudest(bank: &Filterbank, bin: usize) -> usize {
+        let mut magnitudes = [0.0; FFT_POINTS / 2 + 1];
+        magnitudes[bin] = 1.0;
+        let sums = bank.apply(&magnitudes);
+        (0..N_MEL).max_by(|a, b| sums[*a].total_cmp(&sums[*b])).unwrap()
+    }
+
+    #[test]
+    fn another_voice_is_heard_higher_or_lower() {
+        let (own, short, long) = (
+            Filterbank::default(),
+            Filterbank::of_voice(1.2),
+            Filterbank::of_voice(0.85),
+        );
+        assert_eq!(own.shares(), Filterbank::of_voice(1.0).shares());
+        for bin in [30, 60, 100, 180] {
+            let [own_at, up, down] = [&own, &short, &long].map(|bank| loudest(bank, bin));
+            assert!(up > own_at && down < own_at, "{bin}: {down} {own_at} {up}");
+        }
+        // What a tone of 1.2 times the frequency is to one voice, the tone itself is to the other.
+        assert_eq!(loudest(&short, 100), loudest(&own, 120));
+        // Nothing falls off the upper end.
+        assert!(
+            [&own, &short, &long]
+                .iter()
+                .all(|bank| loudest(bank, N_BINS) == N_MEL - 1)
+        );
     }
 }

@@ -41,6 +41,25 @@ impl Default for Analyser {
 }
 
 impl Analyser {
+    /// One that hears a voice as if all its frequencies were `factor` times as high ([`mel::Filterbank::of_voice`]).
+    pub fn of_voice(factor: f64) -> Self {
+        Self {
+            mel: mel::Filterbank::of_voice(factor),
+            ..Self::default()
+        }
+    }
+
+    /// Raw statics of a whole sound, `[frames, 13]`: c1..c12, E.
+    pub fn statics(&mut self, samples: &[i16]) -> Array2<f64> {
+        let mut out = Array2::zeros((frame_count(samples.len()), N_STATIC));
+        for (t, mut row) in out.axis_iter_mut(Axis(0)).enumerate() {
+            let start = t * HOP_SAMPLES;
+            let frame = self.frame(&samples[start..start + FRAME_SAMPLES]);
+            row.assign(&ndarray::aview1(&frame));
+        }
+        out
+    }
+
     /// c1..c12 (liftered), then E, of one window of 400 samples.
     pub fn frame(&mut self, samples: &[i16]) -> [f64; N_STATIC] {
         let mut frame: Vec<f64> = samples.iter().map(|&s| f64::from(s)).collect();
@@ -58,14 +77,7 @@ impl Analyser {
 
 /// Raw statics of a whole sound, `[frames, 13]`: c1..c12, E.
 pub fn statics(samples: &[i16]) -> Array2<f64> {
-    let mut analyser = Analyser::default();
-    let mut out = Array2::zeros((frame_count(samples.len()), N_STATIC));
-    for (t, mut row) in out.axis_iter_mut(Axis(0)).enumerate() {
-        let start = t * HOP_SAMPLES;
-        let frame = analyser.frame(&samples[start..start + FRAME_SAMPLES]);
-        row.assign(&ndarray::aview1(&frame));
-    }
-    out
+    Analyser::default().statics(samples)
 }
 
 /// Statics, Δ and ΔΔ of a whole sound, `[frames, 39]`. Δ and ΔΔ are always those of the raw statics.
