@@ -11,9 +11,9 @@
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
 //! | `recognition` | Phone recognition under several settings, against labels. |
-//! | `strangers` | Other talkers through a model of one: how well its lip gap follows the gap of their own mouths. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
+//! | `voices` | A corpus of synthetic speech with exact phone times, by `flite`. |
 use anyhow::{Result, bail};
 
 mod beam;
@@ -26,9 +26,9 @@ mod gate;
 mod generated;
 mod pictures;
 mod recognition;
-mod strangers;
 mod tables;
 mod vectors;
+mod voices;
 
 /// A tool's name and what it does with the words behind it.
 type Tool = (&'static str, fn(&[String]) -> Result<()>);
@@ -43,9 +43,9 @@ const TOOLS: &[Tool] = &[
     ("gate", gate::run),
     ("pictures", pictures::run),
     ("recognition", recognition::run),
-    ("strangers", strangers::run),
     ("tables", tables::run),
     ("vectors", vectors::run),
+    ("voices", voices::run),
 ];
 
 fn main() -> Result<()> {
