@@ -34,6 +34,9 @@ impl Default for Choice {
 
 /// Chosen on validation clips (docs/rendering.md).
 const CHANGE: f32 = 1.0;
+/// Where the next pictures are not known, a change costs so much of its charge: at the whole of it the choice follows late, since what a change would
+/// save in pictures to come cannot be counted. Chosen by what it makes of Viterbi's own costs (docs/rendering.md).
+const BLIND: f32 = 0.5;
 
 /// Typical mouths: their weights, and what the eigenmouths leave of their images.
 #[derive(Clone, Debug)]
@@ -106,9 +109,22 @@ impl Candidates {
             Choice::FrameWise => &[(n, 1.0)],
             Choice::OverTime { .. } => &[(n.saturating_sub(1), 0.25), (n, 0.5), ((n + 1).min(last), 0.25)],
         };
+        self.mixed(around.iter().map(|(at, weight)| (way[*at], *weight)))
+    }
+
+    /// The detail shown where the next picture's candidate is not known, `[P]`, levels: chosen over time, a change is spread over two pictures.
+    pub fn shown_now(&self, before: Option<usize>, now: usize, choice: Choice) -> Vec<f32> {
+        match (choice, before) {
+            (Choice::OverTime { .. }, Some(before)) => self.mixed([(before, 0.5), (now, 0.5)]),
+            _ => self.mixed([(now, 1.0)]),
+        }
+    }
+
+    /// Some candidates' details, each by its weight.
+    fn mixed(&self, some: impl IntoIterator<Item = (usize, f32)>) -> Vec<f32> {
         let mut sum = vec![0.0f32; self.n_levels()];
-        for (at, weight) in around {
-            let detail = self.detail(way[*at]);
+        for (candidate, weight) in some {
+            let detail = self.detail(candidate);
             sum.iter_mut()
                 .zip(detail)
                 .for_each(|(sum, level)| *sum += weight * f32::from(*level));
@@ -125,6 +141,19 @@ impl Candidates {
                 .collect(),
             Choice::OverTime { change } => self.choose_over_time(tracks, change),
         }
+    }
+
+    /// The candidate for weights `[D]` after the one `before`, where nothing is known of the pictures that follow: one step of Viterbi's costs.
+    pub fn next(&self, before: Option<usize>, weights: ArrayView1<f32>, choice: Choice) -> usize {
+        let mut costs = self.distances(weights);
+        if let (Choice::OverTime { change }, Some(before)) = (choice, before) {
+            let charge = BLIND * change;
+            costs
+                .iter_mut()
+                .zip(self.apart.row(before))
+                .for_each(|(cost, apart)| *cost += charge * apart);
+        }
+        nearest(&costs)
     }
 
     /// Squared distances of weights to all candidates'.
@@ -290,6 +319,17 @@ mod tests {
         let over_time = all.choose(tracks.view(), Choice::OverTime { change: 0.5 });
         assert_eq!(jumps(&over_time), 1, "{over_time:?}");
         assert_eq!((over_time[0], over_time[19]), (0, 1));
+        // Without the pictures that follow, too.
+        let mut before = None;
+        let blind: Vec<usize> = tracks
+            .outer_iter()
+            .map(|row| {
+                let now = all.next(before, row, Choice::OverTime { change: 0.5 });
+                before = Some(now);
+                now
+            })
+            .collect();
+        assert_eq!(blind, over_time);
     }
 
     /// Against every way there is.

@@ -3,7 +3,7 @@
 //! Candidates are lower faces of the recording itself. The paper takes the one whose jaw hangs in proportion to the energy of the sound; the jaw may as well be
 //! told by the drawn mouth, by a regression that the recording teaches. Either way it is chosen over time, so that the chin does not jump, and among heads that are turned
 //! as the background's is.
-use ndarray::{Array1, Array2, ArrayView2, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
 use super::footage::{Footage, Jaw};
 use super::layer::Region;
@@ -27,6 +27,8 @@ const THUMB: (usize, usize) = (20, 16);
 const JAW_LEVELS: f32 = 8.0;
 /// The same for a head that is turned otherwise than the background's.
 const TURNED_LEVELS: f32 = 8.0;
+/// Lower faces are chosen over time, with the distance between two as the charge of a change.
+const CHOICE: Choice = Choice::OverTime { change: 1.0 };
 /// Ridge of the regression from weights to the jaw, in weights' own variance.
 const RIDGE: f32 = 0.05;
 
@@ -43,7 +45,7 @@ pub(super) struct Jaws {
     /// The recording's jaws, sorted.
     sorted: Vec<f32>,
     /// From weights to the jaw, over its mean.
-    by_mouth: Array1<f32>,
+    slopes: Array1<f32>,
 }
 
 /// What each picture asks of the jaw.
@@ -79,7 +81,7 @@ impl Jaws {
         let turned = spread(with.iter().map(|(_, picture, _)| footage.places[*picture].turned));
         let rows: Vec<usize> = with.iter().map(|(row, ..)| *row).collect();
         let wanted: Array1<f32> = with.iter().map(|(_, _, v)| v - jaw.0).collect();
-        let by_mouth = ridge(&weights.select(Axis(0), &rows), &wanted);
+        let slopes = ridge(&weights.select(Axis(0), &rows), &wanted);
         let mut sorted: Vec<f32> = with.iter().map(|(_, _, jaw)| *jaw).collect();
         sorted.sort_by(f32::total_cmp);
         // Evenly over the recording: neighbours in time are neighbours in looks.
@@ -105,7 +107,7 @@ impl Jaws {
             jaw,
             turned,
             sorted,
-            by_mouth,
+            slopes,
         }))
     }
 
@@ -113,12 +115,13 @@ impl Jaws {
     pub(super) fn wanted(&self, asked: &Asked) -> Vec<f32> {
         match (asked.by, asked.energy) {
             (JawBy::Energy, Some(energy)) => self.by_energy(energy),
-            _ => asked
-                .tracks
-                .outer_iter()
-                .map(|row| self.jaw.0 + row.dot(&self.by_mouth))
-                .collect(),
+            _ => asked.tracks.outer_iter().map(|row| self.by_mouth(row)).collect(),
         }
+    }
+
+    /// How far the jaw hangs that goes with a mouth, of what mouths are found by, `[D]`.
+    fn by_mouth(&self, key: ArrayView1<f32>) -> f32 {
+        self.jaw.0 + key.dot(&self.slopes)
     }
 
     /// The loudest picture gets the lowest jaw of the recording, and so on down: in proportion, whatever the two distributions.
@@ -140,10 +143,19 @@ impl Jaws {
         for ((mut row, jaw), turned) in tracks.outer_iter_mut().zip(&wanted).zip(asked.turned) {
             row.assign(&seen((*jaw, self.jaw), (*turned, self.turned)));
         }
-        let chosen = self
-            .candidates
-            .choose(tracks.view(), Choice::OverTime { change: 1.0 });
+        let chosen = self.candidates.choose(tracks.view(), CHOICE);
         chosen.into_iter().map(|at| self.pictures[at]).collect()
+    }
+
+    /// The lower face that follows the one `before`, for a mouth of this key before a head that is turned so far, where the next pictures are not known.
+    pub(super) fn next(&self, before: Option<usize>, key: ArrayView1<f32>, turned: f32) -> usize {
+        let wanted = seen((self.by_mouth(key), self.jaw), (turned, self.turned));
+        self.candidates.next(before, wanted.view(), CHOICE)
+    }
+
+    /// The recording's picture of a lower face.
+    pub(super) fn picture(&self, lower: usize) -> usize {
+        self.pictures[lower]
     }
 }
 

@@ -6,14 +6,17 @@
 //!                 ├─► Course      which recorded picture is shown when, for any length of time
 //!                 ├─► Mouths      the recording's own mouths: how they look at its resolution, their fine detail
 //!                 └─► jaws        lower faces, of which one is chosen for each picture
-//! parameters ─► Plan ─► FaceScene: background ◄─clone─ lower face ◄─clone─ mouth
+//! parameters of a film ─► FaceScene ─┐ which moment, detail and lower face
+//! parameters as they come ► LiveFace ┴─► Portrait: background ◄─clone─ lower face ◄─clone─ mouth
 //! ```
 mod course;
 mod footage;
 mod jaw;
 mod layer;
+mod live;
 mod membrane;
 mod mouths;
+mod portrait;
 mod raster;
 mod scene;
 
@@ -21,6 +24,7 @@ pub use course::{Course, Moment};
 pub use footage::{Edge, Footage, Jaw, Pictures, Place};
 pub use jaw::JawBy;
 pub use layer::Region;
+pub use live::LiveFace;
 pub use membrane::Membrane;
 pub use mouths::{Fit, Mouths, Whose};
 pub use raster::{Bytes, Floats, Raster};

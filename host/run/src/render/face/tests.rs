@@ -6,6 +6,7 @@ use crate::affine::Affine;
 use crate::mouth::MouthSpace;
 use crate::render::Scene as _;
 use crate::render::drawn::{self, HEIGHT, Pose, WIDTH};
+use crate::render::refine::Choice;
 
 const SIZE: (usize, usize) = (128, 112);
 
@@ -274,5 +275,144 @@ fn impossible_settings_are_refused() {
     let mut scene = FaceScene::new(&mut footage, &space, &asked, &FaceSettings::default()).unwrap();
     for row in tracks.axis_iter(Axis(0)) {
         assert_eq!(scene.draw(row).unwrap().len(), SIZE.0 * SIZE.1 * 3);
+    }
+}
+
+/// What is drawn live, picture by picture, 25 a second.
+fn live(face: &mut LiveFace, tracks: &Array2<f32>) -> Vec<Vec<u8>> {
+    tracks
+        .outer_iter()
+        .enumerate()
+        .map(|(n, row)| face.draw((n as f64 + 0.5) / 25.0, row).unwrap())
+        .collect()
+}
+
+/// A film of the same, which knew all of it beforehand.
+fn film(tracks: &Array2<f32>, space: &MouthSpace, settings: &FaceSettings) -> Vec<Vec<u8>> {
+    let mut footage = recording(120, 0.0);
+    let asked = Wanted {
+        tracks: tracks.view(),
+        energy: None,
+    };
+    let mut scene = FaceScene::new(&mut footage, space, &asked, settings).unwrap();
+    tracks.outer_iter().map(|row| scene.draw(row).unwrap()).collect()
+}
+
+/// Where there is nothing to look ahead for, a live face is the film's, bit for bit: with a mouth that stays, its jaw and noise included, and with details that are
+/// chosen picture by picture.
+#[test]
+fn live_is_the_film_where_the_future_says_nothing() {
+    let space = drawn::space(8);
+    let moving = wanted(&space, 30);
+    let still = Array2::from_shape_fn(moving.dim(), |(_, d)| moving[(7, d)]);
+    let noisy = FaceSettings {
+        noise: Some(2.0),
+        ..FaceSettings::default()
+    };
+    let nearest = FaceSettings {
+        detail: Some(Choice::FrameWise),
+        ..settings(None)
+    };
+    for (tracks, whose, settings) in [
+        (&still, Whose::Trained, noisy),
+        (&still, Whose::Opened, noisy),
+        (&still, Whose::Models, noisy),
+        (&moving, Whose::Trained, nearest),
+        (&moving, Whose::Opened, nearest),
+        (&moving, Whose::Models, nearest),
+    ] {
+        let settings = FaceSettings {
+            whose: Some(whose),
+            ..settings
+        };
+        let mut face = LiveFace::new(recording(120, 0.0), space.clone(), &settings).unwrap();
+        assert_eq!(
+            (face.size(), face.fps(), face.mouths().whose()),
+            (SIZE, 25, whose)
+        );
+        let same = live(&mut face, tracks) == film(tracks, &space, &settings);
+        assert!(same, "{whose:?} {settings:?}");
+    }
+}
+
+/// A mouth that trembles between two others makes the face flicker less than its nearest pictures would; one that speaks is as near to the film as a picture is to its next.
+#[test]
+fn live_neither_flickers_nor_lags() {
+    let space = drawn::space(8);
+    // Slower than the recording speaks elsewhere here, which is six syllables a second.
+    let fast = wanted(&space, 21);
+    let speaking = Array2::from_shape_fn((60, space.size()), |(n, d)| {
+        let part = (n % 3) as f32 / 3.0;
+        (1.0 - part) * fast[(n / 3, d)] + part * fast[(n / 3 + 1, d)]
+    });
+    let mut trembling = speaking.clone();
+    for (n, mut row) in trembling.outer_iter_mut().enumerate() {
+        let tremble = if n % 2 == 0 { 8.0 } else { -8.0 };
+        row.mapv_inplace(|v| v + tremble);
+    }
+    let usual = settings(Some(Whose::Opened));
+    let nearest = FaceSettings {
+        detail: Some(Choice::FrameWise),
+        ..usual
+    };
+    let draw = |tracks: &Array2<f32>, settings: &FaceSettings| {
+        let mut face = LiveFace::new(recording(120, 0.0), space.clone(), settings).unwrap();
+        live(&mut face, tracks)
+    };
+    let apart = |a: &[Vec<u8>], b: &[Vec<u8>]| -> f32 {
+        let pairs = a.iter().zip(b).enumerate();
+        pairs.map(|(n, (a, b))| off(a, b, &place(n))).sum::<f32>() / a.len().min(b.len()) as f32
+    };
+    let change = |pictures: &[Vec<u8>]| apart(pictures, &pictures[1..]);
+    let [film_trembles, live_trembles, jumps] = [
+        change(&film(&trembling, &space, &usual)),
+        change(&draw(&trembling, &usual)),
+        change(&draw(&trembling, &nearest)),
+    ];
+    assert!(
+        live_trembles < 2.0 * film_trembles && live_trembles < 0.7 * jumps,
+        "from picture to picture: film {film_trembles}, live {live_trembles}, nearest {jumps} levels"
+    );
+    let planned = film(&speaking, &space, &usual);
+    let (off, ordinary) = (apart(&planned, &draw(&speaking, &usual)), change(&planned));
+    assert!(
+        off < ordinary,
+        "{off} levels from the film, whose pictures are {ordinary} from the next"
+    );
+}
+
+#[test]
+fn what_cannot_be_live_is_refused() {
+    let space = drawn::space(8);
+    let by_sound = FaceSettings {
+        jaw: Some(JawBy::Energy),
+        ..FaceSettings::default()
+    };
+    let refused = LiveFace::new(recording(30, 0.0), space.clone(), &by_sound)
+        .err()
+        .unwrap();
+    assert!(refused.to_string().contains("follow the mouth"), "{refused}");
+    assert!(LiveFace::new(recording(0, 0.0), space.clone(), &settings(None)).is_err());
+    let mut face = LiveFace::new(recording(120, 0.0), space, &FaceSettings::default()).unwrap();
+    let other = Array1::zeros(9);
+    assert!(
+        face.draw(0.0, other.view())
+            .unwrap_err()
+            .to_string()
+            .contains("another model")
+    );
+    let none = Array1::from_elem(8, f32::NAN);
+    assert_eq!(face.draw(1e6, none.view()).unwrap().len(), SIZE.0 * SIZE.1 * 3);
+    for (own, live) in [
+        (25.0, 25),
+        (29.97, 30),
+        (50.0, 25),
+        (60.0, 30),
+        (120.0, 30),
+        (0.2, 1),
+    ] {
+        let mut footage = recording(1, 0.0);
+        footage.rate_hz = own;
+        assert_eq!(LiveFace::rate(&footage), live, "{own}");
     }
 }
