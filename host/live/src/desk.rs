@@ -14,6 +14,7 @@ use serde_json::json;
 use crate::clock::Clock;
 use crate::driver::{Driver, Setup, Source};
 use crate::event::{Command, Event, Level, Notice};
+use crate::face::Face;
 use crate::feed::Speech;
 use crate::hub::{Hub, Missed};
 use crate::recording::{Recorder, RecordingError};
@@ -65,6 +66,8 @@ pub struct Equipment {
     pub folder: PathBuf,
     /// The shipped model, for the demo.
     pub engine: Arc<Engine>,
+    /// A face that one of the models moves.
+    pub face: Option<Face>,
 }
 
 /// What is attached.
@@ -154,6 +157,11 @@ impl Desk {
     /// Whether there is a mouth for a model.
     pub fn draws(&self, model: u32) -> bool {
         self.equipment.mouths.iter().any(|mouth| mouth.model == model)
+    }
+
+    /// The face that a model moves, where there is one.
+    pub fn face(&self, model: u32) -> Option<&Face> {
+        self.equipment.face.as_ref().filter(|face| face.is_of(model))
     }
 
     /// What the mouth of the model that speaks is drawn from.

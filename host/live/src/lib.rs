@@ -2,8 +2,9 @@
 //!
 //! ```text
 //!  serial, TCP, QEMU, pipe ─ bytes ─┐
-//!  recording ───────────── messages ┼─► Driver ── Event ──► Hub ─┬─► serve: a page in the browser (WebSocket)
-//!  sound ► the model in this program┘     ▲                      ├─► recording: a file that plays again
+//!  recording ───────────── messages ┼─► Driver ── Event ──► Hub ─┬─► serve: a page in the browser (WebSocket) ◄─ pictures ─┐
+//!  sound ► the model in this program┘     ▲                      ├─► face: a recording that says it, drawn on a thread ─┘
+//!                                         │                      ├─► recording: a file that plays again
 //!  sound ─ Pcm ─► the device              └──── Command ◄────────┴─► outputs: OSC, Live Link Face, E1.31, JSON lines, CSV
 //! ```
 //!
@@ -18,6 +19,7 @@ pub mod desk;
 mod device;
 pub mod driver;
 pub mod event;
+pub mod face;
 pub mod feed;
 pub mod hub;
 mod inside;

@@ -33,6 +33,7 @@ fn desk(folder: &Path) -> Arc<Desk> {
             mouths: [Mouth::new(id, &MouthSpace::load(&tensors).unwrap())].into(),
             folder: folder.to_owned(),
             engine,
+            face: None,
         },
     ))
 }

@@ -83,6 +83,7 @@ fn bench_as(mouths: Vec<Mouth>, how: Drawn) -> Bench {
         mouths: all.into(),
         folder: folder.path().to_owned(),
         engine,
+        face: None,
     };
     let desk = Arc::new(Desk::new(Arc::new(Hub::default()), equipment));
     let place = Place {

@@ -55,6 +55,7 @@ fn desk(folder: &Path, with_mouth: bool) -> (Arc<Desk>, Server) {
         mouths: mouths.into(),
         folder: folder.to_owned(),
         engine,
+        face: None,
     };
     let desk = Arc::new(Desk::new(Arc::new(Hub::default()), equipment));
     let place = Place {

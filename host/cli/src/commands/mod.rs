@@ -14,6 +14,7 @@ mod demo;
 mod evaluate;
 mod evaluate_strangers;
 mod export;
+mod faces;
 mod features;
 mod mos;
 mod prepare;

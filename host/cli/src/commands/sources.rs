@@ -17,7 +17,7 @@ use lipstream_live::feed::Speech;
 use lipstream_live::hub::{Hub, Missed};
 use lipstream_live::outputs::{self, Target};
 
-use super::choices;
+use super::{choices, faces};
 
 /// Where frames come from, and where else they go.
 #[derive(Debug, clap::Args)]
@@ -71,7 +71,7 @@ impl SourceArgs {
         let tables = tables.with_context(|| format!("{} is no usable model", path.display()))?;
         Ok(Model {
             engine: Arc::new(Engine::fixed(tables)?),
-            own: Some(tensors),
+            own: Some((path.clone(), tensors)),
         })
     }
 
@@ -142,7 +142,7 @@ impl SourceArgs {
 /// What [`SourceArgs::model`] gives.
 pub(crate) struct Model {
     engine: Arc<Engine>,
-    own: Option<Tensors>,
+    own: Option<(PathBuf, Tensors)>,
 }
 
 impl Model {
@@ -150,10 +150,23 @@ impl Model {
     pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Arc<[Mouth]>> {
         let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
         let mut mouths = vec![mouth(&tensors, shipped)?];
-        if let Some(own) = self.own.as_ref().filter(|own| own.has("mouth.mean")) {
+        if let Some((_, own)) = self.own.as_ref().filter(|(_, own)| own.has("mouth.mean")) {
             mouths.push(mouth(own, &self.engine)?);
         }
         Ok(mouths.into())
+    }
+
+    /// The model's id in a stream, its mouth, and what messages call it.
+    pub(crate) fn mouth(&self) -> Result<(u32, MouthSpace, &Path)> {
+        let id = self.engine.model_id().unwrap_or_default();
+        Ok(match &self.own {
+            Some((path, tensors)) => (id, faces::mouth(tensors, path)?, path),
+            None => {
+                let path = Path::new("the shipped model");
+                let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+                (id, faces::mouth(&tensors, path)?, path)
+            }
+        })
     }
 }
 

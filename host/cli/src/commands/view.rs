@@ -7,13 +7,17 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result};
 use lipstream::engine::Engine;
+use lipstream_live::address::Address;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::{Desk, Equipment, Tape};
+use lipstream_live::driver::{Setup, Source};
+use lipstream_live::face::Face;
 use lipstream_live::hub::Hub;
-use lipstream_live::recording::Recorder;
+use lipstream_live::recording::{Recorder, Recording};
 use lipstream_live::serve::{Place, Server};
 
-use super::sources::{self, SourceArgs};
+use super::faces::{FaceArgs, same_model};
+use super::sources::{self, Model, SourceArgs};
 
 /// Watch a mouth live in a browser
 ///
@@ -22,6 +26,8 @@ use super::sources::{self, SourceArgs};
 pub(crate) struct Args {
     #[command(flatten)]
     source: SourceArgs,
+    #[command(flatten)]
+    face: FaceArgs,
     /// Record to this file from the beginning (and the sound to a .wav beside it)
     #[arg(long, value_name = "FILE.stream")]
     record: Option<PathBuf>,
@@ -37,13 +43,15 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let interrupted = sources::interrupted()?;
     let clock = Clock::start();
     let hub = Arc::new(Hub::default());
     let shipped = Arc::new(Engine::shipped());
     let model = args.source.model()?;
     let mouths = model.mouths(&shipped)?;
     let setup = args.source.setup(&model, &mouths, &hub, clock)?;
+    let face = face(&args.face, &model, setup.as_ref(), &hub)?;
+    // What has been begun is brought to its end; until now there was nothing to be lost.
+    let interrupted = sources::interrupted()?;
     sources::print_notices(&hub);
     args.source.start_outputs(&hub)?;
     let tape = match &args.record {
@@ -60,6 +68,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             mouths,
             folder: args.folder,
             engine: shipped,
+            face,
         },
     ));
     let place = Place {
@@ -94,4 +103,21 @@ pub(crate) fn run(args: Args) -> Result<()> {
         eprintln!("{frames} frames recorded");
     }
     Ok(())
+}
+
+/// The face that the stream moves; None where no background is given.
+fn face(args: &FaceArgs, model: &Model, setup: Option<&Setup>, hub: &Arc<Hub>) -> Result<Option<Face>> {
+    if args.background.is_none() {
+        return Ok(None);
+    }
+    let (id, space, path) = model.mouth()?;
+    // Whose stream a device's is shows when it speaks; a recording can be asked now.
+    if let Some(Setup {
+        source: Source::Line(Address::Recording(recorded)),
+        ..
+    }) = setup
+    {
+        same_model(Recording::open(recorded)?.hello().model, id, path)?;
+    }
+    args.start(hub, id, space)
 }

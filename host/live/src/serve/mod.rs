@@ -32,6 +32,7 @@ const FILES: &[(&str, &str, &str)] = &[
     ("/icon.svg", "image/svg+xml", include_str!("page/icon.svg")),
     ("/app.js", SCRIPT, include_str!("page/app.js")),
     ("/clock.js", SCRIPT, include_str!("page/clock.js")),
+    ("/face.js", SCRIPT, include_str!("page/face.js")),
     ("/link.js", SCRIPT, include_str!("page/link.js")),
     ("/mouth.js", SCRIPT, include_str!("page/mouth.js")),
     ("/plots.js", SCRIPT, include_str!("page/plots.js")),

@@ -10,11 +10,13 @@ use lipstream::time::FRAME_RATE_HZ;
 use lipstream_core::wire::{Hello, PROTOCOL};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::{Asked, Door};
 use crate::desk::Desk;
 use crate::event::{Announcement, Command, Event};
+use crate::face::{Face, Picture};
 use crate::hub::Missed;
 use crate::outputs;
 
@@ -73,6 +75,7 @@ async fn watch(mut socket: WebSocket, desk: Arc<Desk>, form: Form) {
     {
         return;
     }
+    let mut gallery = Gallery::default();
     loop {
         tokio::select! {
             event = events.next() => {
@@ -101,10 +104,15 @@ async fn watch(mut socket: WebSocket, desk: Arc<Desk>, form: Form) {
                     return;
                 }
             }
+            picture = gallery.next(), if gallery.has_room() => {
+                if !send(&mut socket, picture_message(&picture)).await {
+                    return;
+                }
+            }
             asked = socket.recv() => {
                 let Some(Ok(asked)) = asked else { return };
                 if let Message::Text(words) = asked
-                    && let Some(answer) = obey(&words, &desk)
+                    && let Some(answer) = obey(&words, &desk, &mut gallery)
                     && !send(&mut socket, text(&answer)).await
                 {
                     return;
@@ -112,6 +120,67 @@ async fn watch(mut socket: WebSocket, desk: Arc<Desk>, form: Form) {
             }
         }
     }
+}
+
+/// Pictures that a page has been sent and not seen: one on its way, one being unpacked, one that waits for its time.
+const UNSEEN: u32 = 3;
+
+/// A face's pictures for one page. What it has not said to have seen bounds what lies on the line before its frames and its sound.
+#[derive(Default)]
+struct Gallery {
+    pictures: Option<watch::Receiver<Option<Arc<Picture>>>>,
+    unseen: u32,
+}
+
+impl Gallery {
+    /// Begins or ends to show the face of the model that speaks.
+    fn open(&mut self, desk: &Desk, on: bool) {
+        let model = desk.hub().hello().map(|said| said.hello.model);
+        self.unseen = 0;
+        self.pictures = match model.filter(|_| on) {
+            Some(model) => desk.face(model).map(Face::watch),
+            None => None,
+        };
+    }
+
+    fn seen(&mut self) {
+        self.unseen = self.unseen.saturating_sub(1);
+    }
+
+    fn has_room(&self) -> bool {
+        self.pictures.is_some() && self.unseen < UNSEEN
+    }
+
+    /// Waits for a picture that is newer than the last; without a face for ever.
+    async fn next(&mut self) -> Arc<Picture> {
+        if let Some(pictures) = &mut self.pictures {
+            while pictures.changed().await.is_ok() {
+                let newest = pictures.borrow_and_update().clone();
+                if let Some(picture) = newest {
+                    self.unseen += 1;
+                    return picture;
+                }
+            }
+        }
+        std::future::pending().await
+    }
+}
+
+/// A picture of a face as bytes.
+fn picture_message(picture: &Picture) -> Message {
+    let head = Head {
+        kind: 3,
+        visemes: 0,
+        count: 0,
+        // Numbers that wrap are told apart by their samples.
+        sequence: picture.number as u32,
+        sample: picture.sample,
+        arrived_ms: picture.arrived_ms,
+        heard_ms: picture.heard_ms.unwrap_or(f64::NAN),
+    };
+    let mut bytes = head.bytes();
+    bytes.extend(&picture.jpeg);
+    Message::Binary(bytes.into())
 }
 
 /// Sends, if the client takes it in time.
@@ -134,7 +203,7 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
                 visemes: visemes.len() as u8,
                 count: parameters.len() as u16,
                 sequence: timed.frame.sequence,
-                sample: timed.sample,
+                sample: timed.sample as f64,
                 arrived_ms: timed.arrived_ms,
                 heard_ms: timed.heard_ms.unwrap_or(f64::NAN),
             };
@@ -151,7 +220,7 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
                 visemes: 0,
                 count: sound.samples.len() as u16,
                 sequence: 0,
-                sample: sound.sample,
+                sample: sound.sample as f64,
                 arrived_ms: sound.heard_ms,
                 heard_ms: sound.heard_ms,
             };
@@ -161,9 +230,7 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
             }
             Some(Message::Binary(bytes.into()))
         }
-        (Event::Hello(said), _) => hello(event, desk, desk.draws(said.hello.model))
-            .as_ref()
-            .map(text),
+        (Event::Hello(said), _) => hello(event, desk, said.hello.model).as_ref().map(text),
         (Event::Status(_), _) => {
             let mut value = outputs::json(event)?;
             value["clients"] = desk.hub().watchers().into();
@@ -176,9 +243,13 @@ fn message(event: &Event, desk: &Desk, form: Form) -> Option<Message> {
 }
 
 /// Who speaks, and what a page has to know besides what the device says.
-fn hello(said: &Event, desk: &Desk, mouth: bool) -> Option<Value> {
+fn hello(said: &Event, desk: &Desk, model: u32) -> Option<Value> {
     let mut value = outputs::json(said)?;
-    value["mouth"] = mouth.into();
+    value["mouth"] = desk.draws(model).into();
+    value["face"] = match desk.face(model) {
+        Some(face) => json!({ "width": face.size().0, "height": face.size().1, "fps": face.fps() }),
+        None => Value::Null,
+    };
     value["can"] = desk.can().into();
     value["buffer_ms"] = BUFFER_MS.into();
     value["recording"] = desk.recording().into();
@@ -203,7 +274,7 @@ fn idle(desk: &Desk) -> Option<Value> {
         running: false,
         opening: None,
     }));
-    let mut value = hello(&nobody, desk, false)?;
+    let mut value = hello(&nobody, desk, 0)?;
     value["model"] = "none".into();
     Some(value)
 }
@@ -214,7 +285,7 @@ struct Head {
     visemes: u8,
     count: u16,
     sequence: u32,
-    sample: u64,
+    sample: f64,
     arrived_ms: f64,
     heard_ms: f64,
 }
@@ -225,7 +296,7 @@ impl Head {
         bytes.extend([self.kind, self.visemes]);
         bytes.extend(self.count.to_le_bytes());
         bytes.extend(self.sequence.to_le_bytes());
-        bytes.extend((self.sample as f64).to_le_bytes());
+        bytes.extend(self.sample.to_le_bytes());
         bytes.extend(self.arrived_ms.to_le_bytes());
         bytes.extend(self.heard_ms.to_le_bytes());
         bytes
@@ -236,16 +307,28 @@ impl Head {
 #[derive(Deserialize)]
 #[serde(tag = "type", rename_all = "lowercase")]
 enum Words {
-    Ping { t: f64 },
+    Ping {
+        t: f64,
+    },
     Start,
     Stop,
     Demo,
-    Profile { profile: String },
-    Record { on: bool },
+    Profile {
+        profile: String,
+    },
+    Record {
+        on: bool,
+    },
+    /// Pictures of the face are wanted, or not any more.
+    Face {
+        on: bool,
+    },
+    /// A picture of the face has been taken.
+    Seen,
 }
 
 /// Does what a page asks for; words that are none are passed over.
-fn obey(words: &str, desk: &Desk) -> Option<Value> {
+fn obey(words: &str, desk: &Desk, gallery: &mut Gallery) -> Option<Value> {
     match serde_json::from_str(words).ok()? {
         Words::Ping { t } => return Some(json!({ "type": "pong", "t": t, "now_ms": desk.clock().now_ms() })),
         Words::Start => desk.command(Command::Start),
@@ -253,6 +336,8 @@ fn obey(words: &str, desk: &Desk) -> Option<Value> {
         Words::Profile { profile } => desk.command(Command::Profile(outputs::profile_of(&profile)?)),
         Words::Record { on } => desk.record(on),
         Words::Demo => desk.demo(),
+        Words::Face { on } => gallery.open(desk, on),
+        Words::Seen => gallery.seen(),
     }
     None
 }

@@ -1,10 +1,13 @@
-//! Pictures and sound into video: H.264, AAC, MP4.
+//! Pictures and sound into video: H.264, AAC, MP4; single pictures as JPEG.
 use crate::Cause;
 
 pub mod aac;
 pub mod colour;
 pub mod h264;
+mod jpeg;
 pub mod mp4;
+
+pub use jpeg::jpeg;
 
 /// Why a film was not encoded.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +47,9 @@ pub enum EncodeError {
     /// The places of the pictures in the file are 32-bit numbers.
     #[error("the video would be larger than 4 GB: render it in parts")]
     TooLarge,
+    /// A single picture could not be encoded.
+    #[error("cannot write a picture as JPEG")]
+    Jpeg(#[source] Cause),
     /// What was encoded before has been cut short since.
     #[error("the encoded film is shorter than its samples")]
     CutShort,

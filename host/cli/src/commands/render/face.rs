@@ -4,47 +4,15 @@ use std::path::Path;
 use anyhow::Result;
 use lipstream::mouth::MouthSpace;
 use lipstream::progress::{Progress as _, Steps};
-use lipstream::render::face::{FaceScene, FaceSettings, Wanted, Whose};
-use lipstream::render::refine::Choice;
+use lipstream::render::face::{FaceScene, Wanted};
 use lipstream::render::{self, Scene, Tracks, energy};
 use lipstream_make::vision;
 use ndarray::Array2;
 
 use super::source::{Sound, Source};
 use super::{Args, Drawn, sink};
-use crate::commands::choices;
+use crate::commands::faces::described;
 use crate::progress::Terminal;
-
-/// How a face is drawn
-#[derive(Debug, clap::Args)]
-pub(super) struct FaceArgs {
-    /// Put the mouth onto this recording of a face, which goes on as long as the sound: its first minute, in a loop
-    #[arg(long, value_name = "VIDEO")]
-    pub(super) background: Option<std::path::PathBuf>,
-    /// Put the fine detail that eigenmouths leave out onto the mouth alone, from the mouths of this feature folder, on which the model was trained
-    #[arg(long, value_name = "FEATURES", conflicts_with = "background")]
-    pub(super) detail_from: Option<std::path::PathBuf>,
-    /// How fine detail is chosen: that of --detail-from, or that of the recording's own mouths
-    #[arg(long, value_enum, default_value_t = choices::Detail::Smooth)]
-    detail: choices::Detail,
-    /// What the lower face of the recording follows
-    #[arg(long, value_enum, default_value_t = choices::Jaw::Mouth, requires = "background")]
-    jaw: choices::Jaw,
-    /// Whose mouth is drawn [default: trained or opened, whichever fits the recording]
-    #[arg(long, value_enum, requires = "background")]
-    mouth: Option<choices::Whose>,
-}
-
-impl FaceArgs {
-    /// How fine detail is chosen.
-    pub(super) fn detail(&self) -> Option<Choice> {
-        match self.detail {
-            choices::Detail::None => None,
-            choices::Detail::Nearest => Some(Choice::FrameWise),
-            choices::Detail::Smooth => Some(Choice::default()),
-        }
-    }
-}
 
 /// Draws a face onto `video`.
 pub(super) fn draw(
@@ -62,23 +30,13 @@ pub(super) fn draw(
         None => None,
     };
     let mut footage = vision::footage(video, vision::LONGEST_S, &terminal)?;
-    let settings = FaceSettings {
-        fps: args.fps,
-        detail: args.face.detail(),
-        jaw: match args.face.jaw {
-            choices::Jaw::Still => None,
-            choices::Jaw::Sound => Some(render::face::JawBy::Energy),
-            choices::Jaw::Mouth => Some(render::face::JawBy::Mouth),
-        },
-        whose: args.face.mouth.map(Whose::from),
-        noise: args.noise,
-    };
+    let settings = args.face.settings(args.fps, args.noise);
     let wanted = Wanted {
         tracks: tracks.view(),
         energy: loudness.as_deref(),
     };
     let mut scene = FaceScene::new(&mut footage, space, &wanted, &settings)?;
-    terminal.say(&described(&scene));
+    terminal.say(&described(scene.mouths()));
     film(args, &mut scene, &tracks, sound)
 }
 
@@ -109,18 +67,4 @@ pub(super) fn film(args: &Args, scene: &mut dyn Scene, tracks: &Array2<f32>, sou
         size: scene.size(),
         sound: sound.track().is_some(),
     })
-}
-
-/// What was found out of the recording, for people.
-fn described(scene: &FaceScene) -> String {
-    let mouths = scene.mouths();
-    let whose = match mouths.whose() {
-        Whose::Trained => "the recording's own mouth is moved by the model's eigenmouths",
-        Whose::Opened => "the recording's own mouths are shown, as open and wide as the model's",
-        Whose::Models => "the model's mouth is shown in the recording's light",
-    };
-    format!(
-        "{whose} (they say {:.0} % of how it moves)",
-        100.0 * mouths.explained()
-    )
 }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 
 use super::choices;
+use super::faces::{FaceArgs, mouth};
 use super::streams::{ending, file_name, is_standard, name, read_sound, say};
 use crate::progress::Terminal;
 use lipstream::cues;
@@ -51,7 +52,10 @@ pub(crate) struct Args {
     #[arg(long)]
     noise: Option<f32>,
     #[command(flatten)]
-    face: face::FaceArgs,
+    face: FaceArgs,
+    /// Put the fine detail that eigenmouths leave out onto the mouth alone, from the mouths of this feature folder, on which the model was trained
+    #[arg(long, value_name = "FEATURES", conflicts_with = "background")]
+    detail_from: Option<PathBuf>,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -122,7 +126,7 @@ fn alone(
     sound: &Sound,
 ) -> Result<Drawn> {
     let mut scene = Painter::new(space, settings)?;
-    if let (Some(folder), Some(choice)) = (&args.face.detail_from, args.face.detail()) {
+    if let (Some(folder), Some(choice)) = (&args.detail_from, args.face.detail()) {
         let tracks = face::tracks(args, space, &mut source, sound)?;
         let candidates = details::candidates(&FeatureFolder::open(folder)?, space, &Terminal::default())?;
         let mut scene = scene.with_details(candidates, tracks.view(), choice)?;
@@ -187,15 +191,4 @@ fn sink(output: &Path, film: &Film) -> Result<Box<dyn Sink>> {
         "mp4" => Box::new(Mp4::new(output, film)?),
         _ => Box::new(Ffmpeg::new(output, film)?),
     })
-}
-
-/// The mouth of a model or of a feature folder.
-fn mouth(tensors: &Tensors, path: &Path) -> Result<MouthSpace> {
-    if !tensors.has("mouth.mean") {
-        bail!(
-            "{} has no mouth: it was trained on plain visual numbers, which cannot be drawn",
-            path.display()
-        );
-    }
-    MouthSpace::load(tensors).with_context(|| format!("{} is no usable model", path.display()))
 }

@@ -13,6 +13,7 @@ use lipstream_media::sink::Soundtrack;
 use ndarray::Array2;
 
 use super::super::convert;
+use super::super::faces::same_model;
 use super::super::streams::{ending, name, read_sound};
 use super::Args;
 use crate::progress::Terminal;
@@ -103,14 +104,7 @@ fn check_model(tensors: &Tensors, path: &Path, id: u32) -> Result<()> {
         return Ok(());
     };
     let engine = Engine::fixed(model.export(false)?)?;
-    let ours = engine.model_id().unwrap_or_default();
-    if ours != id {
-        bail!(
-            "the stream is of model {id:08x}, {} is {ours:08x}: draw it with the model that the device runs",
-            path.display()
-        );
-    }
-    Ok(())
+    same_model(id, engine.model_id().unwrap_or_default(), path)
 }
 
 impl Source {

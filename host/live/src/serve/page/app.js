@@ -11,6 +11,7 @@
  * @property {{name: string, size: number}[]} groups
  * @property {{name: string, words: string}[]} visemes
  * @property {boolean} mouth
+ * @property {import("./face.js").Face | null} face
  * @property {boolean} sound
  * @property {string | null} profile
  * @property {string[]} can
@@ -19,6 +20,7 @@
  * @property {string | null} recording
  */
 import { FrameClock, FrameRing, RecentDelays } from "./clock.js";
+import { FaceView } from "./face.js";
 import { Link, address } from "./link.js";
 import { MouthView, parseMouth } from "./mouth.js";
 import { Plots, colourOf } from "./plots.js";
@@ -34,6 +36,8 @@ const PLOTS_MS = 25;
 const RATE_STEPS = 10;
 const BANNER_MS = 10_000;
 const MOST_NOTICES = 100;
+/** Everything waits for the face by no more than this. */
+const MOST_EXTRA_MS = 300;
 const MOST_TRACES = 6;
 const MOST_BARS = 4;
 /** A viseme's bar is the mean of so many frames: single ones flicker. */
@@ -42,6 +46,7 @@ const BAR_FRAMES = 15;
 const $ = id => document.getElementById(id);
 const asked = new URLSearchParams(location.search);
 const view = new MouthView($("mouth"), ["canvas", "webgl"].find(by => asked.has(by)) ?? null);
+const face = new FaceView($("picture"), () => link.send({ type: "seen" }));
 const plots = new Plots($("plots"));
 const delays = new RecentDelays();
 const count = { received: 0, shown: 0, pictures: 0, late: 0, missing: 0 };
@@ -53,6 +58,8 @@ let player = null, status = null, ended = "", noticedAt = -Infinity;
 /** The model whose mouth is here or on its way, and the words for why there is none. */
 let mouthOf = null, mouthless = "";
 let guessed = false, plottedAt = 0, wordsAt = 0;
+/** Whether the face is shown where there is one. */
+let faced = true;
 
 /** @param {Hello} hello */
 function begin(hello) {
@@ -81,8 +88,18 @@ function begin(hello) {
   }
   loadMouth(hello);
   showTracks();
+  face.begin(hello.face ?? null, rate);
+  watchFace();
   showHello();
 }
+
+const showsFace = () => faced && face.face !== null;
+
+/** Asks for the face's pictures as long as somebody looks at them. */
+function watchFace() {
+  link.send({ type: "face", on: showsFace() && !document.hidden });
+}
+document.addEventListener("visibilitychange", watchFace);
 
 /** @param {Hello} hello */
 async function loadMouth({ model, mouth }) {
@@ -144,6 +161,13 @@ function sound(head, samples, now) {
   player.push(samples, head.sample, stream.clock, now);
 }
 
+/** @param {import("./link.js").Head} head @param {Uint8Array} jpeg @param {number} now */
+function picture(head, jpeg, now) {
+  // A picture of the stream before may still have been on its way: its samples lie far ahead.
+  if (stream?.clock.ready && head.sample - stream.clock.position(now) < stream.clock.rate) return face.push(head, jpeg);
+  link.send({ type: "seen" });
+}
+
 function text(message) {
   if (message.type === "hello") begin(message);
   else if (message.type === "notice") notice(message.level, message.text);
@@ -156,7 +180,7 @@ function text(message) {
     if (changed.length) showHello();
   }
 }
-const link = new Link({ text, frame, sound });
+const link = new Link({ text, frame, sound, picture });
 
 const stale = now => !link.connected || !stream || now - stream.came > STALE_MS;
 const late = () => count.late + (stream?.clock.late ?? 0);
@@ -166,35 +190,54 @@ function draw(stamp, now) {
   const { clock, frames, shown } = stream, position = clock.position(stamp), base = frames.find(position, stream.base);
   if (base < 0) return;
   const part = frames.part(base, position);
-  if (!stale(now)) measure(base, base === frames.count - 1 ? frames.sample(base) : position, now);
+  if (showsFace()) drawFace(position, now);
+  else if (!stale(now)) measure(base, base === frames.count - 1 ? frames.sample(base) : position, now);
   if (stamp - plottedAt > PLOTS_MS) {
     plottedAt = stamp;
     plots.draw(position);
   }
   if (base === stream.base && part === stream.part && !view.dirty) return;
   for (let k = 0; k < shown.length; k++) shown[k] = frames.parameter(base, part, k);
-  view.draw(shown, stream.from);
+  if (!showsFace()) {
+    view.draw(shown, stream.from);
+    count.pictures++;
+  }
   const last = part > 0 ? base + 1 : base;
   count.shown += Math.max(0, last - Math.max(stream.counted, base - 1));
-  count.pictures++;
   stream.counted = Math.max(stream.counted, last);
   stream.base = base;
   stream.part = part;
   stream.position = position;
 }
 
+/** Draws the face's picture that is due. @param {number} position @param {number} now */
+function drawFace(position, now) {
+  const { clock } = stream, due = face.draw(position);
+  if (!due) return;
+  count.pictures++;
+  // It stands for its own time: the middle of that is what is measured.
+  measureFrom(due.heard, due.arrived, now + face.half * 1000 / clock.rate, now);
+  // Without sound nothing is gained by waiting; with it the mouth must not be seen after it.
+  const lag = face.takeLag();
+  if (player.on && lag) clock.extra = Math.min(MOST_EXTRA_MS, clock.extra + lag);
+}
+
 /** How long ago `sample`, which is now on the screen, was heard. @param {number} base @param {number} sample @param {number} now */
 function measure(base, sample, now) {
-  const { frames, hello, clock } = stream, at = base % frames.capacity;
-  guessed = Number.isNaN(frames.heard[at]);
-  const heard = guessed ? frames.arrived[at] - hello.lag_samples * 1000 / clock.rate : frames.heard[at];
-  const delay = now + link.host.offset - heard - (sample - frames.sample(base)) * 1000 / clock.rate;
+  const { frames, clock } = stream, at = base % frames.capacity;
+  measureFrom(frames.heard[at], frames.arrived[at], now - (sample - frames.sample(base)) * 1000 / clock.rate, now);
+}
+
+/** What is on the screen at `shown` was heard or, where nobody knows, arrived then. @param {number} heard @param {number} arrived @param {number} shown @param {number} now */
+function measureFrom(heard, arrived, shown, now) {
+  guessed = Number.isNaN(heard);
+  const delay = shown + link.host.offset - (guessed ? arrived - stream.hello.lag_samples * 1000 / stream.clock.rate : heard);
   if (!Number.isNaN(delay)) delays.add(delay, now);
 }
 
 /** @param {number} stamp */
-function picture(stamp) {
-  requestAnimationFrame(picture);
+function screen(stamp) {
+  requestAnimationFrame(screen);
   if (document.hidden) return;
   const now = performance.now();
   if (stream?.frames.count) draw(stamp, now);
@@ -223,7 +266,8 @@ const rows = [
     ["Pictures drawn a second", state => state.pictures.toFixed(0)],
     ["Frames received a second", state => state.frames.toFixed(0)],
     ["Device's load", () => status?.load_permille ? `${Math.round(status.load_permille / 10)} %` : "not known"],
-    ["Drawn with", () => view.space ? { webgl: "WebGL", canvas: "Canvas 2D" }[view.renderer] : "no mouth"],
+    ["Drawn with", () => showsFace() ? `lipstream, ${face.face.width}×${face.face.height}`
+      : view.space ? { webgl: "WebGL", canvas: "Canvas 2D" }[view.renderer] : "no mouth"],
     ["Pages like this one", () => number(status?.clients)],
   ]),
   ...list("losses", [
@@ -237,6 +281,7 @@ const rows = [
     ["Frames computed with a narrowed search, to keep up", () => number(status?.narrowed)],
     ["Frames missing here, of those numbered by the device", () => number(count.missing)],
     ["Frames that came here too late to be shown in time", () => number(late())],
+    ["Pictures of the face that came too late", () => number(face.face ? face.late : undefined)],
   ]),
 ];
 const bars = Array.from({ length: MOST_BARS }, () => {
@@ -261,7 +306,7 @@ function words(now) {
   const wait = Math.max(0, Math.ceil((link.retryAt - now) / 1000));
   say($("state"), link.connected ? "connected" : `not connected to lipstream; next try in ${wait} s`);
   $("state").classList.toggle("good", link.connected);
-  $("mouth").classList.toggle("stale", old);
+  for (const id of ["mouth", "picture"]) $(id).classList.toggle("stale", old);
   say($("caption"), caption(now, old));
   $("banner").hidden = !notices.length || (!old && now - noticedAt > BANNER_MS);
   if (stream?.base >= 0 && stream.hello.visemes.length) showBars();
@@ -273,7 +318,7 @@ function caption(now, old) {
   if (ended) return ended;
   if (old && stream?.frames.count) return `No frames for ${((now - stream.came) / 1000).toFixed(0)} s: this is the last mouth.`;
   if (old) return stream && !stream.hello.running ? "The device is stopped." : "Waiting for the first frame …";
-  return mouthless;
+  return showsFace() ? "" : mouthless;
 }
 
 function showBars() {
@@ -298,6 +343,10 @@ function showHello() {
   say($("source"), `${hello.source} · model ${hello.model}`);
   for (const name of ["start", "stop", "record", "demo", "profile"]) $(`can-${name}`).hidden = !hello.can.includes(name);
   $("sound").hidden = !hello.sound;
+  $("can-face").hidden = !face.face;
+  $("can-face").setAttribute("aria-pressed", faced);
+  $("face").hidden = !showsFace();
+  $("mouth").hidden = showsFace();
   $("sound").setAttribute("aria-pressed", player.on);
   $("can-start").disabled = hello.running;
   $("can-stop").disabled = !hello.running;
@@ -347,6 +396,11 @@ const clicks = {
   "can-stop": () => ask({ type: "stop" }, { running: false }),
   "can-demo": () => ask({ type: "demo" }),
   "can-record": (on = recorded()) => ask({ type: "record", on }, { recording: on ? "" : null }),
+  "can-face"() {
+    faced = !faced;
+    watchFace();
+    showHello();
+  },
   sound() {
     // What the sound needed, the mouth need not wait for any more.
     if (player.on) stream.clock.extra = 0;
@@ -366,10 +420,12 @@ window.lipstream = {
       renderer: view.renderer, delayMs: delays.stats(now), lastSample: frames?.count ? frames.sample(frames.count - 1) : null,
       model: hello?.model ?? null, notices: [...notices], stale: stale(now), missing: count.missing, resyncs: clock?.resyncs ?? 0,
       extraMs: clock?.extra ?? 0, pingMs: link.host.way,
+      face: face.face && { shown: showsFace(), sample: face.sample, drawn: face.drawn, late: face.late },
       sound: player && { on: player.on, errorMs: player.error, speed: player.speed, breaks: player.breaks },
     };
   },
   pixels: () => view.pixels(),
+  facePixels: () => face.pixels(),
   /** Draws the mouth that is shown once more. */
   draw: () => view.draw(stream.shown, stream.from),
   /** What is on the screen: `part` of the way from the frame of `sample` to its next. */
@@ -379,4 +435,4 @@ window.lipstream = {
     return { sample: frames.sample(base), part, position, parameters: [...shown], visemes: hello.visemes.map((_, v) => frames.weight(base, v)) };
   },
 };
-requestAnimationFrame(picture);
+requestAnimationFrame(screen);

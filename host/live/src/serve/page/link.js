@@ -6,6 +6,7 @@
  * @property {(message: object) => void} text  a JSON message
  * @property {(head: Head, parameters: Float32Array, weights: Uint8Array, now: number) => void} frame
  * @property {(head: Head, samples: Int16Array, now: number) => void} sound
+ * @property {(head: Head, jpeg: Uint8Array, now: number) => void} picture
  */
 import { HostClock } from "./clock.js";
 
@@ -102,6 +103,8 @@ export class Link {
       listener.frame(head, new Float32Array(bytes, HEAD_BYTES, count), new Uint8Array(bytes, HEAD_BYTES + 4 * count, visemes), now);
     } else if (kind === 2 && size >= 2 * count) {
       listener.sound(head, new Int16Array(bytes, HEAD_BYTES, count), now);
+    } else if (kind === 3) {
+      listener.picture(head, new Uint8Array(bytes, HEAD_BYTES), now);
     }
   }
 }
