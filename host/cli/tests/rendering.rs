@@ -1,4 +1,6 @@
 //! `lipstream render` as it is called: what it writes, and what it says to input that it cannot use.
+mod common;
+
 use std::ffi::OsString;
 use std::path::Path;
 
@@ -191,19 +193,7 @@ fn bad_input_gets_one_line() {
 #[test]
 fn a_background_without_a_face_gets_one_line() {
     let desk = Desk::new();
-    let wall = desk.path("wall.mp4");
-    let drawn = std::process::Command::new("ffmpeg")
-        .args([
-            "-v",
-            "error",
-            "-f",
-            "lavfi",
-            "-i",
-            "testsrc=size=160x120:rate=25:duration=1",
-        ])
-        .arg(&wall)
-        .status();
-    assert!(drawn.expect("ffmpeg is there").success());
+    common::program::test_picture(&desk.path("wall.mp4"));
     let with = |background: &'static str, rest: &[&'static str]| {
         let words = [
             "p.npy",

@@ -5,9 +5,13 @@ mod common;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use common::program::{program, refuse, succeed};
+use common::program::{one_line, program, refuse, run_with_programs, succeed};
+use lipstream_core::wire::{Hello, PROTOCOL};
+use lipstream_live::event::{Announcement, Event};
+use lipstream_live::recording::Recorder;
 use serde_json::{Value, json};
 use tungstenite::{Message, WebSocket};
 
@@ -199,4 +203,49 @@ fn a_port_that_is_taken_and_a_sound_that_is_none_are_named() {
         let said = refuse(folder.path(), &["view", "--mic", "--port", "0"]);
         assert!(said.contains("--features mic"), "{said}");
     }
+}
+
+/// What cannot be a face gets one line, before anything is served.
+#[test]
+fn a_background_that_is_none_and_a_jaw_that_cannot_be_live_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let wall = folder.path().join("wall.mp4");
+    common::program::test_picture(&wall);
+    let said = |words: &[&str]| {
+        let all = [&["view", "--port", "0"], words].concat();
+        one_line(run_with_programs(folder.path(), &all))
+    };
+    let shown = said(&["--background", "wall.mp4"]);
+    assert!(shown.contains("no face found"), "{shown}");
+    let shown = said(&["--background", "none.mp4"]);
+    assert!(shown.contains("no such file"), "{shown}");
+    let shown = said(&["--background", "wall.mp4", "--jaw", "sound"]);
+    assert!(shown.contains("follow the mouth"), "{shown}");
+    // A recorded stream of another model than the one that is to be drawn.
+    let hello = Hello {
+        protocol: PROTOCOL,
+        model: 0x1234_abcd,
+        rate_hz: 100,
+        lag_samples: 0,
+        visemes: 0,
+        groups: Default::default(),
+        scales: Default::default(),
+    };
+    let mut recorder = Recorder::create(&folder.path().join("other.stream")).unwrap();
+    recorder
+        .take(&Event::Hello(Arc::new(Announcement {
+            source: String::new(),
+            hello,
+            profile: None,
+            sound: false,
+            running: true,
+            opening: None,
+        })))
+        .unwrap();
+    recorder.finish().unwrap();
+    let shown = said(&["other.stream", "--background", "wall.mp4"]);
+    assert!(
+        shown.contains("1234abcd") && shown.contains("the shipped model"),
+        "{shown}"
+    );
 }

@@ -10,11 +10,14 @@ use std::time::{Duration, Instant};
 use common::{announcement, timed};
 use lipstream::engine::Engine;
 use lipstream::mouth::MouthSpace;
+use lipstream::render::drawn;
+use lipstream::render::face::{FaceSettings, LiveFace, person};
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::{Desk, Equipment, Mouth};
-use lipstream_live::event::Event;
+use lipstream_live::event::{Announcement, Event};
+use lipstream_live::face::Face;
 use lipstream_live::hub::Hub;
 use lipstream_live::recording::Recording;
 use lipstream_live::serve::{Place, Server};
@@ -23,17 +26,24 @@ use tungstenite::client::IntoClientRequest as _;
 use tungstenite::{Message, WebSocket};
 
 fn desk(folder: &Path) -> Arc<Desk> {
+    desk_with(folder, |_| None)
+}
+
+/// A desk with what is made of its hub.
+fn desk_with(folder: &Path, face: impl FnOnce(&Arc<Hub>) -> Option<Face>) -> Arc<Desk> {
     let engine = Arc::new(Engine::shipped());
     let id = engine.model_id().unwrap();
     let tensors = Tensors::parse(shipped::MODEL, "the shipped model").unwrap();
+    let hub = Arc::new(Hub::default());
+    let face = face(&hub);
     Arc::new(Desk::new(
-        Arc::new(Hub::default()),
+        hub,
         Equipment {
             clock: Clock::start(),
             mouths: [Mouth::new(id, &MouthSpace::load(&tensors).unwrap())].into(),
             folder: folder.to_owned(),
             engine,
-            face: None,
+            face,
         },
     ))
 }
@@ -333,4 +343,113 @@ fn the_slow_and_the_loud_are_dropped() {
     }
     assert_eq!(live(server.address(), "", None).err(), Some(503));
     drop(watchers);
+}
+
+/// A desk with a face that the model of [`announcement`] moves.
+fn desk_with_face(folder: &Path) -> Arc<Desk> {
+    desk_with(folder, |hub| {
+        let settings = FaceSettings {
+            noise: Some(0.0),
+            ..FaceSettings::default()
+        };
+        let face = LiveFace::new(person::recording(60, 0.0, 1.0), drawn::space(2), &settings).unwrap();
+        Some(Face::start(hub, announcement().hello.model, face))
+    })
+}
+
+/// Says something, and waits until it has been heard.
+fn say_and_wait(socket: &mut Socket, value: &Value) -> Vec<Vec<u8>> {
+    socket.send(Message::text(value.to_string())).unwrap();
+    pictures_until_pong(socket)
+}
+
+/// The pictures of the face that come before the answer to a ping.
+fn pictures_until_pong(socket: &mut Socket) -> Vec<Vec<u8>> {
+    let ping = json!({ "type": "ping", "t": 0 });
+    socket.send(Message::text(ping.to_string())).unwrap();
+    let mut pictures = Vec::new();
+    loop {
+        match socket.read().unwrap() {
+            Message::Binary(bytes) if bytes[0] == 3 => pictures.push(bytes.to_vec()),
+            Message::Text(text) if text.contains("pong") => return pictures,
+            _ => {}
+        }
+    }
+}
+
+/// Frames of these hops, as quick as a device would say them twice over; gives the pictures that came meanwhile.
+fn speak(desk: &Desk, socket: &mut Socket, hops: std::ops::Range<u32>) -> Vec<Vec<u8>> {
+    let mut pictures = Vec::new();
+    for hop in hops {
+        desk.hub().send(timed(hop, 0));
+        std::thread::sleep(Duration::from_millis(5));
+        if hop % 8 == 0 {
+            pictures.extend(pictures_until_pong(socket));
+        }
+    }
+    // What was due is drawn.
+    std::thread::sleep(Duration::from_millis(300));
+    pictures.extend(pictures_until_pong(socket));
+    pictures
+}
+
+#[test]
+fn a_face_is_drawn_for_those_who_look_and_waits_for_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let desk = desk_with_face(folder.path());
+    let server = serve(&desk, LOOPBACK);
+    let mut socket = live(server.address(), "", None).unwrap();
+    text_of(&mut socket, "hello");
+    desk.hub().send(Event::Hello(announcement()));
+    let hello = text_of(&mut socket, "hello");
+    assert_eq!(hello["face"], json!({ "width": 128, "height": 112, "fps": 25 }));
+    // Nobody has asked: nothing has been drawn.
+    assert_eq!(speak(&desk, &mut socket, 0..40).len(), 0);
+    let face = desk.face(announcement().hello.model).unwrap();
+    assert!(face.watch().borrow().is_none());
+
+    // One who does not say that it has seen them gets three.
+    say_and_wait(&mut socket, &json!({ "type": "face", "on": true }));
+    let pictures = speak(&desk, &mut socket, 40..120);
+    assert_eq!(pictures.len(), 3);
+    let number = |of: &[u8]| u32::from_le_bytes(of[4..8].try_into().unwrap());
+    for picture in &pictures {
+        let float = |at: usize| f64::from_le_bytes(picture[at..at + 8].try_into().unwrap());
+        assert_eq!(float(8), (f64::from(number(picture)) + 0.5) * 640.0);
+        assert!(float(16) == 12.5 && float(24).is_nan());
+        assert!(picture[32..].starts_with(&[0xff, 0xd8]) && picture.ends_with(&[0xff, 0xd9]));
+        assert!(picture.windows(10).any(|words| words == b"Synthetic:"));
+    }
+    assert!(pictures.is_sorted_by_key(|picture| number(picture)));
+    // When it has seen one, it gets the newest, whatever it has lost in between.
+    let next = say_and_wait(&mut socket, &json!({ "type": "seen" }));
+    let newest = match next.last() {
+        Some(picture) => number(picture),
+        None => number(&speak(&desk, &mut socket, 120..121)[0]),
+    };
+    assert!(newest > number(&pictures[2]) + 5, "{newest}");
+    // Who looks away gets none.
+    say_and_wait(&mut socket, &json!({ "type": "face", "on": false }));
+    assert_eq!(speak(&desk, &mut socket, 121..160).len(), 0);
+}
+
+#[test]
+fn a_face_of_another_model_is_not_drawn_and_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let desk = desk_with_face(folder.path());
+    let server = serve(&desk, LOOPBACK);
+    let mut socket = live(server.address(), "", None).unwrap();
+    text_of(&mut socket, "hello");
+    let mut other = Announcement::clone(&announcement());
+    other.hello.model = 7;
+    desk.hub().send(Event::Hello(Arc::new(other)));
+    assert_eq!(text_of(&mut socket, "hello")["face"], Value::Null);
+    let said = text_of(&mut socket, "notice");
+    let words = said["text"].as_str().unwrap();
+    assert!(
+        words.contains("00000007") && words.contains("1234abcd"),
+        "{words}"
+    );
+    say_and_wait(&mut socket, &json!({ "type": "face", "on": true }));
+    assert_eq!(speak(&desk, &mut socket, 0..40).len(), 0);
 }

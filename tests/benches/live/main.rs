@@ -6,6 +6,7 @@
 //! cargo bench -p lipstream-tests --bench live -- cpu           processor time of host and page
 //! cargo bench -p lipstream-tests --bench live -- soak MINUTES  what grows
 //! cargo bench -p lipstream-tests --bench live -- pictures      pictures a second by parameters
+//! cargo bench -p lipstream-tests --bench live -- face VIDEO... what a face on a background takes, and how late it is
 //! cargo bench -p lipstream-tests --bench live -- film FOLDER   pictures of the page, numbered
 //! ```
 //!
@@ -19,6 +20,7 @@ mod chromium;
 mod common;
 mod delay;
 mod device;
+mod face;
 mod process;
 
 use std::net::{IpAddr, Ipv4Addr};
@@ -36,6 +38,7 @@ use lipstream_live::address::Address;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::{Desk, Equipment, Mouth};
 use lipstream_live::driver::{Setup, Source};
+use lipstream_live::face::Face;
 use lipstream_live::feed::Speech;
 use lipstream_live::hub::Hub;
 use lipstream_live::serve::{Place, Server};
@@ -54,11 +57,14 @@ fn main() {
         ["cpu"] => cpu(),
         ["soak", minutes] => soak(minutes.parse().expect("a number of minutes")),
         ["pictures"] => pictures(),
+        ["face", ref videos @ ..] if !videos.is_empty() => face::run(videos),
         ["film", folder] => film(Path::new(folder)),
-        [] => println!("live: say what to measure: delay, cpu, soak MINUTES, pictures, film FOLDER"),
-        _ => panic!("live: one of delay, cpu, soak MINUTES, pictures, film FOLDER"),
+        [] => println!("live: say what to measure: {WAYS}"),
+        _ => panic!("live: one of {WAYS}"),
     }
 }
+
+const WAYS: &str = "delay, cpu, soak MINUTES, pictures, face VIDEO..., film FOLDER";
 
 /// A desk whose page a browser has open.
 struct Bench {
@@ -74,18 +80,24 @@ fn shipped_space() -> MouthSpace {
 
 /// A desk that can draw the shipped mouth and `mouths`.
 fn bench_as(mouths: Vec<Mouth>, how: Drawn) -> Bench {
+    bench_with(mouths, how, |_| None)
+}
+
+/// The same with a face.
+fn bench_with(mouths: Vec<Mouth>, how: Drawn, face: impl FnOnce(&Arc<Hub>) -> Option<Face>) -> Bench {
     let folder = tempfile::tempdir().unwrap();
     let engine = Arc::new(Engine::shipped());
     let mut all = vec![Mouth::new(engine.model_id().unwrap(), &shipped_space())];
     all.extend(mouths);
+    let hub = Arc::new(Hub::default());
     let equipment = Equipment {
         clock: Clock::start(),
         mouths: all.into(),
         folder: folder.path().to_owned(),
         engine,
-        face: None,
+        face: face(&hub),
     };
-    let desk = Arc::new(Desk::new(Arc::new(Hub::default()), equipment));
+    let desk = Arc::new(Desk::new(hub, equipment));
     let place = Place {
         address: IpAddr::V4(Ipv4Addr::LOCALHOST),
         port: 0,

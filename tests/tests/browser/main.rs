@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use chromium::Browser;
 use lipstream::engine::Engine;
 use lipstream::mouth::MouthSpace;
+use lipstream::render::face::{FaceSettings, LiveFace, Whose, person};
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
 use lipstream_core::wire::Profile;
@@ -22,6 +23,7 @@ use lipstream_live::address::Address;
 use lipstream_live::clock::Clock;
 use lipstream_live::desk::{Desk, Equipment, Mouth, Tape};
 use lipstream_live::driver::{Driver, Setup, Source};
+use lipstream_live::face::Face;
 use lipstream_live::feed::Speech;
 use lipstream_live::hub::Hub;
 use lipstream_live::recording::Recorder;
@@ -44,20 +46,30 @@ fn space() -> MouthSpace {
 
 /// A desk with or without the shipped mouth, and its page.
 fn desk(folder: &Path, with_mouth: bool) -> (Arc<Desk>, Server) {
+    desk_with(folder, with_mouth, |_| None)
+}
+
+/// A desk with or without the shipped mouth and with a face, and its page.
+fn desk_with(
+    folder: &Path,
+    with_mouth: bool,
+    face: impl FnOnce(&Arc<Hub>) -> Option<Face>,
+) -> (Arc<Desk>, Server) {
     let engine = Arc::new(Engine::shipped());
     let id = engine.model_id().unwrap();
     let mouths = match with_mouth {
         true => vec![Mouth::new(id, &space())],
         false => Vec::new(),
     };
+    let hub = Arc::new(Hub::default());
     let equipment = Equipment {
         clock: Clock::start(),
         mouths: mouths.into(),
         folder: folder.to_owned(),
         engine,
-        face: None,
+        face: face(&hub),
     };
-    let desk = Arc::new(Desk::new(Arc::new(Hub::default()), equipment));
+    let desk = Arc::new(Desk::new(hub, equipment));
     let place = Place {
         address: IpAddr::V4(Ipv4Addr::LOCALHOST),
         port: 0,
@@ -105,7 +117,7 @@ const OBSERVER: &str = "
         const at = window.lipstream.frameAtShown();
         const part = at && window.parts.find(part => at.position >= part.from && at.position < part.to);
         if (!part) return;
-        const pixels = window.lipstream.pixels();
+        const pixels = PIXELS;
         part.low = part.low ? part.low.map((v, k) => Math.min(v, pixels[k])) : Array.from(pixels);
         part.high = part.high ? part.high.map((v, k) => Math.max(v, pixels[k])) : Array.from(pixels);
         part.looks++;
@@ -113,9 +125,16 @@ const OBSERVER: &str = "
     look();
 ";
 
+/// What is watched: an expression for its pixels, and by how many levels one of them may move in silence before speech and after it.
+struct Watched(&'static str, [f64; 2]);
+
+const MOUTH: Watched = Watched("window.lipstream.pixels()", [6.0, 16.0]);
+/// The inner of the mouth's rectangle, whose place in the pictures is known. JPEG gives and takes some levels.
+const FACE: Watched = Watched("window.lipstream.facePixels(42, 44, 40, 28)", [16.0, 24.0]);
+
 /// Watches the page while speech is between two silences: still, moving, still. Gives the median delay in milliseconds.
-fn still_moving_still(browser: &mut Browser, name: &str) -> f64 {
-    browser.evaluate(OBSERVER);
+fn still_moving_still(browser: &mut Browser, name: &str, Watched(pixels, still): Watched) -> f64 {
+    browser.evaluate(&OBSERVER.replace("PIXELS", pixels));
     let position = "(window.lipstream.frameAtShown()?.position ?? 0)";
     browser.wait(&format!("{position} > 110000"));
     browser.photograph(&artefacts().join(format!("{name}.png")));
@@ -136,7 +155,7 @@ fn still_moving_still(browser: &mut Browser, name: &str) -> f64 {
         "too few pictures: {parts:?}"
     );
     assert!(
-        parts[0].1 <= 6.0 && parts[2].1 <= 16.0,
+        parts[0].1 <= still[0] && parts[2].1 <= still[1],
         "the mouth moves in silence: {parts:?}"
     );
     assert!(parts[1].1 >= 40.0, "the mouth hardly moves in speech: {parts:?}");
@@ -158,7 +177,7 @@ fn in_a_browser_speech_moves_the_mouth_and_silence_does_not() {
         Source::Inside(Arc::new(Engine::shipped())),
         Some(between_silences(folder.path())),
     ));
-    let delay = still_moving_still(&mut browser, "inside");
+    let delay = still_moving_still(&mut browser, "inside", MOUTH);
     // Look-ahead and window of the profile, the jitter buffer, and a picture.
     assert!((72.0..400.0).contains(&delay), "{delay} ms from sample to screen");
     // What is on the screen is the mean and the weighted eigenmouths of the frame.
@@ -185,6 +204,59 @@ fn in_a_browser_speech_moves_the_mouth_and_silence_does_not() {
     no_complaints(&browser);
 }
 
+/// A drawn person whose head is still, so that what moves is the mouth, with the shipped model's mouth.
+fn face(hub: &Arc<Hub>) -> Option<Face> {
+    let settings = FaceSettings {
+        whose: Some(Whose::Models),
+        jaw: None,
+        noise: Some(0.0),
+        ..FaceSettings::default()
+    };
+    let face = LiveFace::new(person::recording(120, 0.0, 0.0), space(), &settings).unwrap();
+    Some(Face::start(hub, Engine::shipped().model_id().unwrap(), face))
+}
+
+#[test]
+fn in_a_browser_a_face_moves_its_mouth_in_speech_and_not_in_silence() {
+    let _alone = alone();
+    let folder = tempfile::tempdir().unwrap();
+    let (desk, server) = desk_with(folder.path(), true, face);
+    let mut browser = Browser::open_plain(&server.url());
+    desk.attach(setup(
+        &desk,
+        Source::Inside(Arc::new(Engine::shipped())),
+        Some(between_silences(folder.path())),
+    ));
+    browser.wait("window.lipstream.stats().face?.drawn > 5");
+    let delay = still_moving_still(&mut browser, "face", FACE);
+    assert!((50.0..400.0).contains(&delay), "{delay} ms from sample to screen");
+    let visible = browser.evaluate(
+        "[document.querySelector('#face figcaption').innerText, document.getElementById('picture').ariaLabel, document.getElementById('mouth').hidden]",
+    );
+    assert!(visible[0].as_str().unwrap().starts_with("Synthetic"), "{visible}");
+    assert!(
+        visible[1].as_str().unwrap().contains("synthetic") && visible[2] == true,
+        "{visible}"
+    );
+    // The mouth alone can still be seen, and then no picture of the face is drawn.
+    browser.evaluate("document.getElementById('can-face').click()");
+    browser.wait("document.getElementById('face').hidden && window.lipstream.pixels().length > 0");
+    let watched = || {
+        desk.face(Engine::shipped().model_id().unwrap())
+            .unwrap()
+            .is_watched()
+    };
+    let began = Instant::now();
+    while watched() {
+        assert!(
+            began.elapsed() < Duration::from_secs(20),
+            "the face is still asked for"
+        );
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    no_complaints(&browser);
+}
+
 #[test]
 fn in_a_browser_the_firmware_in_qemu_speaks() {
     let _alone = alone();
@@ -199,7 +271,11 @@ fn in_a_browser_the_firmware_in_qemu_speaks() {
     ));
     // Beside a browser QEMU may not be as fast as life: sound is left out then, and only what comes early has its place in the samples.
     let parts = "[[2000, 12000], [12000, 400000]]";
-    browser.evaluate(&OBSERVER.replace("[[20000, 78000], [84000, 144000], [165000, 220000]]", parts));
+    browser.evaluate(
+        &OBSERVER
+            .replace("PIXELS", MOUTH.0)
+            .replace("[[20000, 78000], [84000, 144000], [165000, 220000]]", parts),
+    );
     browser.wait("document.body.innerText.includes('the sound has ended')");
     browser.photograph(&artefacts().join("qemu.png"));
     let moved = |browser: &mut Browser, k: usize| {
@@ -244,7 +320,7 @@ fn in_a_browser_a_recording_plays_again() {
     let (desk, server) = desk(folder.path(), true);
     let mut browser = Browser::open_plain(&server.url());
     desk.attach(setup(&desk, Source::Line(Address::Recording(stream)), None));
-    still_moving_still(&mut browser, "recording");
+    still_moving_still(&mut browser, "recording", MOUTH);
     browser.wait("window.lipstream.stats().notices.some(n => String(n).includes('has ended') || JSON.stringify(n).includes('has ended'))");
     no_complaints(&browser);
 }

@@ -45,7 +45,11 @@ pub(crate) fn succeed<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String
 
 /// Runs the program, which must refuse: exit code 1, nothing printed, one line of error, which is given.
 pub(crate) fn refuse<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String {
-    let output = run(folder, arguments);
+    one_line(run(folder, arguments))
+}
+
+/// The line of a program that must have refused.
+pub(crate) fn one_line(output: Output) -> String {
     let error = String::from_utf8(output.stderr).expect("words");
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(
@@ -58,4 +62,14 @@ pub(crate) fn refuse<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String 
     message
         .unwrap_or_else(|| panic!("not our line: {error}"))
         .to_owned()
+}
+
+/// Makes a video without a face.
+pub(crate) fn test_picture(path: &Path) {
+    let drawn = Command::new("ffmpeg")
+        .args(["-v", "error", "-f", "lavfi", "-i"])
+        .arg("testsrc=size=160x120:rate=25:duration=1")
+        .arg(path)
+        .status();
+    assert!(drawn.expect("ffmpeg, which tests/run installs").success());
 }

@@ -26,8 +26,8 @@ mod pace;
 use course::{Course, Due};
 use pace::Pace;
 
-/// Of 1 to 100: edges of lips and teeth without blocks; half of what 95 takes.
-const QUALITY: u8 = 85;
+/// Quality of the pictures, of 1 to 100: edges of lips and teeth without blocks; half of what 95 takes.
+pub const QUALITY: u8 = 85;
 /// Pictures that may be due at once, where a device of a low rate owes several by one frame.
 const MOST_DUE: usize = 3;
 
@@ -92,6 +92,11 @@ impl Face {
     /// Its pictures a second, where the computer keeps up.
     pub fn fps(&self) -> u32 {
         self.fps
+    }
+
+    /// Whether somebody watches, so that it is drawn.
+    pub fn is_watched(&self) -> bool {
+        self.pictures.receiver_count() > 0
     }
 
     /// Every picture from now on, for one who looks in time; it is drawn as long as somebody holds this.

@@ -425,7 +425,7 @@ window.lipstream = {
     };
   },
   pixels: () => view.pixels(),
-  facePixels: () => face.pixels(),
+  facePixels: (x, y, width, height) => face.pixels(x, y, width, height),
   /** Draws the mouth that is shown once more. */
   draw: () => view.draw(stream.shown, stream.from),
   /** What is on the screen: `part` of the way from the frame of `sample` to its next. */

@@ -88,8 +88,8 @@ export class FaceView {
     return least > EASY_MS ? least : 0;
   }
 
-  /** The picture on the screen, as RGBA. @returns {Uint8ClampedArray} */
-  pixels() {
-    return this.context.getImageData(0, 0, this.canvas.width, this.canvas.height).data;
+  /** A part of the picture on the screen, as RGBA. @param {number} x @param {number} y @param {number} width @param {number} height */
+  pixels(x, y, width, height) {
+    return Array.from(this.context.getImageData(x, y, width, height).data);
   }
 }

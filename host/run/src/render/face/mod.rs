@@ -16,6 +16,7 @@ mod layer;
 mod live;
 mod membrane;
 mod mouths;
+pub mod person;
 mod portrait;
 mod raster;
 mod scene;
