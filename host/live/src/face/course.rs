@@ -209,7 +209,7 @@ mod tests {
         course.frame(&frame(0));
         let due = course.frame(&frame(30));
         let hops: Vec<f32> = due.iter().map(|due| due.parameters[0]).collect();
-        assert_eq!(hops, [0.0, 0.0, 0.0, 0.0, 0.0, 6.0, 18.0]);
+        assert_eq!(hops, [0.0, 0.0, 0.0, 0.0, 0.0, 6.0, 18.0, 30.0]);
         assert_eq!(course.frame(&frame(10_000)).len(), 25);
         // A device that falls back without a word gives nothing.
         assert_eq!(course.frame(&frame(100)), []);

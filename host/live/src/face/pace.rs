@@ -4,10 +4,10 @@
 const MOST_BUSY: f64 = 0.9;
 /// Only where no more than this would be spent is the next picture drawn again, so that it does not go to and fro.
 const AT_EASE: f64 = 0.65;
-/// Weight of a picture in the mean of what they take: about two seconds of them, so that a join of the background alone, of 0.4 s, changes nothing.
-const WEIGHT: f64 = 0.03;
+/// Weight of a picture in the mean of what they take: about four seconds of them, so that a join of the background alone, of 0.4 s, changes nothing.
+const WEIGHT: f64 = 0.01;
 /// Pictures after a change before the next: the mean must have seen it.
-const PATIENCE: u32 = 25;
+const PATIENCE: u32 = 50;
 
 /// Leaves pictures out evenly.
 #[derive(Clone, Debug)]

@@ -236,17 +236,31 @@ fn dissolved(
     let (to_a, to_b) = (of_a.after(&back), of_b.after(&back));
     let picture = |rgb| Bytes { rgb, width, height };
     let (a, b) = (picture(a), picture(b));
-    let mut out = Vec::with_capacity(width * height * 3);
-    for y in 0..height {
-        for x in 0..width {
+    let row = |y: usize, out: &mut [u8]| {
+        for (x, pixel) in out.chunks_exact_mut(3).enumerate() {
             let at = |map: &Affine, from: &Bytes| {
                 let (u, v) = map.apply(x as f32, y as f32);
                 from.sample_cubic(u, v)
             };
             let (here, there) = (at(&to_a, &a), at(&to_b, &b));
-            out.extend((0..3).map(|c| (here[c] + share * (there[c] - here[c])).round() as u8));
+            for (c, level) in pixel.iter_mut().enumerate() {
+                *level = (here[c] + share * (there[c] - here[c])).round() as u8;
+            }
         }
-    }
+    };
+    // Twice the samples of a whole picture take several times as long as all that is drawn onto it: live it would come late.
+    let mut out = vec![0; width * height * 3];
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let rows = height.div_ceil(cores).max(1);
+    std::thread::scope(|scope| {
+        for (band, out) in out.chunks_mut((rows * width * 3).max(1)).enumerate() {
+            scope.spawn(move || {
+                for (y, line) in out.chunks_mut(width * 3).enumerate() {
+                    row(band * rows + y, line);
+                }
+            });
+        }
+    });
     out
 }
 
