@@ -37,6 +37,8 @@ const CHANGE: f32 = 1.0;
 /// Where the next pictures are not known, a change costs so much of its charge: at the whole of it the choice follows late, since what a change would
 /// save in pictures to come cannot be counted. Chosen by what it makes of Viterbi's own costs (docs/rendering.md).
 const BLIND: f32 = 0.5;
+/// There, so much of the detail before is still in the next picture. More would flicker less and follow later (docs/rendering.md).
+const FADES: f32 = 0.25;
 
 /// Typical mouths: their weights, and what the eigenmouths leave of their images.
 #[derive(Clone, Debug)]
@@ -112,10 +114,10 @@ impl Candidates {
         self.mixed(around.iter().map(|(at, weight)| (way[*at], *weight)))
     }
 
-    /// The detail shown where the next picture's candidate is not known, `[P]`, levels: chosen over time, a change is spread over two pictures.
+    /// The detail shown where the next picture's candidate is not known, `[P]`, levels: chosen over time, the one before fades out over a picture.
     pub fn shown_now(&self, before: Option<usize>, now: usize, choice: Choice) -> Vec<f32> {
         match (choice, before) {
-            (Choice::OverTime { .. }, Some(before)) => self.mixed([(before, 0.5), (now, 0.5)]),
+            (Choice::OverTime { .. }, Some(before)) => self.mixed([(before, FADES), (now, 1.0 - FADES)]),
             _ => self.mixed([(now, 1.0)]),
         }
     }
