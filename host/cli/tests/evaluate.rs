@@ -488,6 +488,15 @@ fn by_command() {
     );
 
     let (pdf, nowhere) = (path("r.pdf"), format!("x={}", path("nowhere")));
+    let tables = path("mouth.tables");
+    std::fs::write(&tables, lipstream::shipped::TABLES).unwrap();
+    let strange: [&[&str]; 4] = [
+        // No videos; a form of report that there is not; tables, which have no mouth; a system, which hears features.
+        &["evaluate", &said, "--strangers"],
+        &["evaluate", &said, "--strangers", "-o", &pdf],
+        &["evaluate", &said, "--strangers", "-m", &tables],
+        &["evaluate", &said, "--strangers", "--systems", "all"],
+    ];
     let wrong: [&[&str]; 8] = [
         &["evaluate", &features, "-o", &pdf],
         &["evaluate", &features, "--predictions", "mine"],
@@ -500,7 +509,7 @@ fn by_command() {
             "features", &features, "-o", &out, "--norm", "causal", "--start", &features,
         ],
     ];
-    for args in wrong {
+    for args in wrong.into_iter().chain(strange) {
         let text = format!("{:#}", run(args).unwrap_err());
         assert!(!text.contains('\n') && text.len() > 20, "{args:?}: {text}");
     }
