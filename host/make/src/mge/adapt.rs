@@ -13,7 +13,8 @@ use super::settings::MgeTrainSettings;
 use super::train::run;
 use crate::em::source::in_order;
 use crate::error::{Error, Result, bail};
-use crate::features::{FeatureFolder, Split};
+use crate::features::{Clip, FeatureFolder, Split};
+use crate::train::{TrainSettings, adapt as by_likelihood};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Group, Parameters};
@@ -80,9 +81,7 @@ pub fn adapt(
             folder.manifest.visual_size
         );
     }
-    let space = Tensors::read(&folder.mouth_path()).and_then(|tensors| MouthSpace::load(&tensors));
-    let mut parent = model.parent.clone();
-    parent.mouth = Some(space.map_err(Error::other)?);
+    let parent = twin(folder, &model.parent, base, progress)?;
     let clips = folder.split(Split::Train).count();
     settings.batch = settings.batch.min((clips / BATCHES).max(2));
     let aside = checkpoint.and_then(Path::parent);
@@ -93,6 +92,33 @@ pub fn adapt(
         data.validation.len()
     ));
     adapt_on(&data, model, &parent, &settings, checkpoint, progress)
+}
+
+/// The likelihood-trained model that stands beside the adapted one, with the new mouth. Its densities need phones: where nothing tells them, only
+/// its mouth is the new one, and it can align but not speak.
+fn twin(
+    folder: &FeatureFolder,
+    parent: &Model,
+    base: &MgeTrainSettings,
+    progress: &dyn Progress,
+) -> Result<Model> {
+    if folder.split(Split::Train).any(Clip::is_labelled) {
+        let settings = TrainSettings {
+            visual_mixtures: 1,
+            // How it is followed is known.
+            acoustic_scales: vec![parent.following.acoustic_scale],
+            lag: parent.following.lag,
+            clips: base.clips,
+            seed: base.seed,
+            ..TrainSettings::default()
+        };
+        return by_likelihood::adapt(folder, parent, &settings, progress);
+    }
+    let space = Tensors::read(&folder.mouth_path()).and_then(|tensors| MouthSpace::load(&tensors));
+    Ok(Model {
+        mouth: Some(space.map_err(Error::other)?),
+        ..parent.clone()
+    })
 }
 
 /// [`adapt`] on data that has been read, with [`settings`]; `parent` is the model's own, with the new mouth.
