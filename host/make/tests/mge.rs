@@ -258,7 +258,7 @@ fn the_lips_of_others_are_learnt_from() {
         for clip in others(52) {
             // The scale is taken off again.
             let said = live::convert(model, (&clip.x / 0.5).view()).parameters;
-            let said = gap_of(&(said / &ArrayView1::from(&model.deviation))).insert_axis(Axis(1));
+            let said = gap_of(&(said / ArrayView1::from(&model.deviation))).insert_axis(Axis(1));
             score.add(&clip.mouth.unwrap(), &said);
         }
         score.acc()
