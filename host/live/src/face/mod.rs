@@ -4,7 +4,7 @@
 //! hub ─ frames ─► Course: which pictures are due ─► LiveFace draws ─► JPEG ─► the last picture ─► each page that watches
 //! ```
 //!
-//! One thread does all of it. Only the last picture is kept, so that a page which is slow loses pictures and nobody waits for it; where the thread is slow, [`Pace`] leaves
+//! One thread does all of it. Only the last picture is kept, so that a page which is slow loses pictures and nobody waits for it; where the thread is slow, it leaves
 //! pictures out evenly. While no page watches, nothing is drawn.
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
