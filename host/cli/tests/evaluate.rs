@@ -490,12 +490,11 @@ fn by_command() {
     let (pdf, nowhere) = (path("r.pdf"), format!("x={}", path("nowhere")));
     let tables = path("mouth.tables");
     std::fs::write(&tables, lipstream::shipped::TABLES).unwrap();
-    let strange: [&[&str]; 4] = [
-        // No videos; a form of report that there is not; tables, which have no mouth; a system, which hears features.
+    let strange: [&[&str]; 3] = [
+        // No videos; a form of report that there is not; tables, which have no mouth.
         &["evaluate", &said, "--strangers"],
         &["evaluate", &said, "--strangers", "-o", &pdf],
         &["evaluate", &said, "--strangers", "-m", &tables],
-        &["evaluate", &said, "--strangers", "--systems", "all"],
     ];
     let wrong: [&[&str]; 8] = [
         &["evaluate", &features, "-o", &pdf],
