@@ -109,11 +109,13 @@ fn what_is_clicked_is_what_the_tables_say() {
         }
         if place == 4 {
             // Whoever closes the page goes on where he was.
-            browser.load(&url);
-            assert_eq!(
-                browser.evaluate("document.getElementById('begin').textContent"),
-                "Go on"
-            );
+            // What one page has kept reaches the next by way of the browser's other processes, which are late on a busy machine.
+            let goes_on = (0..5).any(|_| {
+                std::thread::sleep(std::time::Duration::from_millis(300));
+                browser.load(&url);
+                browser.evaluate("document.getElementById('begin').textContent") == "Go on"
+            });
+            assert!(goes_on, "the page begins anew");
             browser.evaluate("document.getElementById('begin').click()");
         }
     }
