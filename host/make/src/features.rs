@@ -193,19 +193,19 @@ impl FeatureFolder {
         })
     }
 
-    /// The folder, as long as its visual numbers are weights of eigenmouths.
+    /// Refuses a folder whose visual numbers are no weights of eigenmouths.
     ///
     /// # Errors
     ///
     /// [`Error::Choice`]: it holds lips.
-    pub fn of_eigenmouths(self) -> Result<Self> {
+    pub fn of_eigenmouths(&self) -> Result<()> {
         ensure!(
             !self.manifest.lips,
             Choice,
             "{} holds the gap and width of lips, not mouths: give it to `train --train mge --watched`",
             self.root.display()
         );
-        Ok(self)
+        Ok(())
     }
 
     /// Last part of its path: what a report calls it on other machines.

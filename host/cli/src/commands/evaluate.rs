@@ -97,7 +97,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
-    let folder = FeatureFolder::open(&args.dir)?.of_eigenmouths()?;
+    let folder = FeatureFolder::open(&args.dir)?;
+    folder.of_eigenmouths()?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
     let settings = settings(&args, full)?;
     let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();

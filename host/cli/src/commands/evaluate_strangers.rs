@@ -26,17 +26,17 @@ pub(super) fn run(path: &Path, model: Option<&Path>, output: Option<&Path>, as_j
             )
         }
     };
-    if let Some(output) = output {
-        // Before minutes of work.
-        ending(output)?;
-    }
+    // Before minutes of work.
+    let output = output
+        .map(|path| Ok::<_, anyhow::Error>((path, ending(path)?)))
+        .transpose()?;
     let report = strangers(&videos_of(path)?, &engine, &reader, &Terminal::default())?;
     match as_json {
         true => println!("{}", json(&report)?),
         false => print!("{}", report.markdown()),
     }
-    if let Some(output) = output {
-        let text = match ending(output)? {
+    if let Some((output, ending)) = output {
+        let text = match ending {
             Ending::Json => json(&report)?,
             Ending::Markdown => report.markdown(),
         };

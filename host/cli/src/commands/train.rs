@@ -112,7 +112,8 @@ fn whole(args: Args) -> Result<()> {
     let (Some(dir), Some(output)) = (&args.dir, &args.output) else {
         bail!("give a feature folder and --output");
     };
-    let folder = FeatureFolder::open(dir)?.of_eigenmouths()?;
+    let folder = FeatureFolder::open(dir)?;
+    folder.of_eigenmouths()?;
     if args.sound_only {
         return sound_only(&folder, &args, output);
     }

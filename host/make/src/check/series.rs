@@ -30,6 +30,12 @@ pub(crate) fn filled(values: &[Option<f32>]) -> Vec<f32> {
 
 /// A series less its mean under a Gaussian of so many of its steps.
 pub(crate) fn without_slow(series: &[f32], deviation: f32) -> Vec<f32> {
+    let slow = smoothed(series, deviation);
+    series.iter().zip(slow).map(|(v, slow)| v - slow).collect()
+}
+
+/// The mean of a series under a Gaussian of so many of its steps.
+pub(crate) fn smoothed(series: &[f32], deviation: f32) -> Vec<f32> {
     let reach = (4.0 * deviation) as usize;
     let weights: Vec<f32> = (0..=reach)
         .map(|k| (-0.5 * (k as f32 / deviation).powi(2)).exp())
@@ -41,7 +47,7 @@ pub(crate) fn without_slow(series: &[f32], deviation: f32) -> Vec<f32> {
                 let weight = weights[k.abs_diff(n)];
                 (sum + weight * series[n], total + weight)
             });
-            series[k] - sum / total
+            sum / total
         })
         .collect()
 }

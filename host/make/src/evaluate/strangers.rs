@@ -175,14 +175,8 @@ fn hear(samples: &[i16], engine: &Engine, reader: &OpeningReader) -> Result<Hear
         gap: said.iter().map(|opening| opening.gap).collect(),
         gap_known: gap_known.iter().map(|opening| opening.gap).collect(),
         width: said.iter().map(|opening| opening.width).collect(),
-        loudness: smoothed(&energy, JAW_FRAMES),
+        loudness: series::smoothed(&energy, JAW_FRAMES),
     })
-}
-
-/// A series under a Gaussian of so many frames.
-fn smoothed(series: &[f32], deviation: f32) -> Vec<f32> {
-    let slow = series::without_slow(series, deviation);
-    series.iter().zip(slow).map(|(v, rest)| v - rest).collect()
 }
 
 impl Observed {

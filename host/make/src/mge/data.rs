@@ -44,7 +44,7 @@ pub struct Data {
     pub heard: Store,
     /// Clips of other people, of whom the lip gap alone is known: a mouth of one number, standardised in each clip.
     pub watched: Store,
-    /// What the lip gap is in standardised mouth parameters `[D]`, in deviations of the training clips' own; None where the mouth's lips cannot be read.
+    /// What the lip gap is in standardised mouth parameters `[D]`, in deviations of the training clips' own; None where nobody is watched.
     pub gap: Option<Vec<f32>>,
     /// Clips that choose the pass whose parameters are kept; may be none.
     pub validation: Store,
@@ -100,12 +100,8 @@ fn read_with(
     aside: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Data> {
-    if let Some(lips) = [folder]
-        .into_iter()
-        .chain(heard)
-        .find(|folder| folder.manifest.lips)
-    {
-        lips.clone().of_eigenmouths()?;
+    for folder in std::iter::once(folder).chain(heard) {
+        folder.of_eigenmouths()?;
     }
     if folder.manifest.visual_size != parent.visual_size() {
         bail!(
@@ -205,12 +201,8 @@ fn read_with(
         reader.watch(other, &clips, &mut data.watched)?;
     }
     reader.read(folder, &validation, 0, None, &mut data.validation)?;
-    data.gap = gap_of(parent, &data)?;
-    if !data.watched.is_empty() && data.gap.is_none() {
-        bail!(
-            Data,
-            "the lips of this mouth cannot be read off its eigenmouths: nothing can be learnt from other people's"
-        );
+    if !data.watched.is_empty() {
+        data.gap = Some(gap_of(parent, &data)?);
     }
     Ok(data)
 }
@@ -225,9 +217,12 @@ pub struct Beside {
 }
 
 /// The lip gap as a line in standardised parameters, of deviation 1 over the training clips.
-fn gap_of(parent: &Model, data: &Data) -> Result<Option<Vec<f32>>> {
+fn gap_of(parent: &Model, data: &Data) -> Result<Vec<f32>> {
     let Some(reader) = parent.mouth.as_ref().and_then(OpeningReader::of) else {
-        return Ok(None);
+        bail!(
+            Data,
+            "the lips of this mouth cannot be read off its eigenmouths: nothing can be learnt from other people's"
+        )
     };
     let slopes = reader.gap_slopes() * &ArrayView1::from(&data.deviation);
     let mut gaps = Deviations::default();
@@ -242,7 +237,7 @@ fn gap_of(parent: &Model, data: &Data) -> Result<Option<Vec<f32>>> {
         },
     )?;
     let deviation = gaps.deviations().next().unwrap_or(1.0);
-    Ok(Some((slopes / deviation).to_vec()))
+    Ok((slopes / deviation).to_vec())
 }
 
 /// Leaves in `train` the clips to train on, and returns those that are held out.
@@ -300,7 +295,13 @@ impl Reader<'_> {
                 return Ok(Err(u.id));
             };
             let start_mean = std::array::from_fn(|d| folder.manifest.start_mean[d]);
-            let variants = disturbed(folder, &u, babble, (&start_mean, scale), variants, settings)?;
+            let variants = match variants {
+                0 => Vec::new(),
+                _ => {
+                    let samples = samples(folder, &u.id)?;
+                    disturbed(&samples, &u, babble, (&start_mean, scale), variants, settings)
+                }
+            };
             let x = u.audio.slice(s![.., ..N_STATIC]).to_owned() * ArrayView1::from(*scale);
             let mouth = match u.visual {
                 Some(visual) => Some(visual / ArrayView1::from(*deviation)),
@@ -328,21 +329,19 @@ impl Reader<'_> {
     fn watch(&self, folder: &FeatureFolder, clips: &Clips, store: &mut Store) -> Result<()> {
         let work = |n: usize| {
             let u = clips.get(n)?.into_owned();
-            let samples = sound::read(&folder.wav_path(&u.id))
-                .map_err(Error::other)?
-                .samples;
+            let samples = samples(folder, &u.id)?;
             let raw = reference::statics(&samples);
             let x = normalise::causal(raw.view(), &self.start_mean).mapv(|v| v as f32)
                 * ArrayView1::from(self.scale);
             let with = (&self.start_mean, self.scale);
             let variants = disturbed(
-                folder,
+                &samples,
                 &u,
                 &self.babble,
                 with,
                 self.settings.variants,
                 self.settings,
-            )?;
+            );
             let mouth = u.visual.as_ref().map(|lips| {
                 let gap = lips.column(0);
                 let (mean, deviation) = (gap.mean().unwrap_or(0.0), gap.std(0.0).max(1e-4));
@@ -368,37 +367,31 @@ fn voices(folder: &FeatureFolder) -> Result<Vec<Vec<i16>>> {
     let clips: Vec<_> = folder.split(Split::Train).collect();
     let every = clips.len().div_ceil(VOICES).max(1);
     let chosen = clips.into_iter().step_by(every);
-    chosen
-        .map(|clip| {
-            Ok(sound::read(&folder.wav_path(&clip.id))
-                .map_err(Error::other)?
-                .samples)
-        })
-        .collect()
+    chosen.map(|clip| samples(folder, &clip.id)).collect()
+}
+
+/// The sound of a clip.
+fn samples(folder: &FeatureFolder, id: &str) -> Result<Vec<i16>> {
+    Ok(sound::read(&folder.wav_path(id)).map_err(Error::other)?.samples)
 }
 
 /// The clip heard some times more, disturbed; what happens to it depends on the seed and its name only.
 fn disturbed(
-    folder: &FeatureFolder,
+    samples: &[i16],
     clip: &Utterance,
     babble: &[Vec<i16>],
     (start_mean, scale): (&[f32; N_STATIC], &[f32]),
     variants: usize,
     settings: &MgeTrainSettings,
-) -> Result<Vec<Variant>> {
-    if variants == 0 {
-        return Ok(Vec::new());
-    }
+) -> Vec<Variant> {
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
-    let samples = sound::read(&folder.wav_path(&clip.id))
-        .map_err(Error::other)?
-        .samples;
     let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
-    let variants = (0..variants).map(|_| {
-        let disturbance = Disturbance::draw(clip.audio.nrows(), settings.other_voices, &mut rng);
-        disturbance.hear(&samples, &babble, start_mean, scale, &mut rng)
-    });
-    Ok(variants.collect())
+    (0..variants)
+        .map(|_| {
+            let disturbance = Disturbance::draw(clip.audio.nrows(), settings.other_voices, &mut rng);
+            disturbance.hear(samples, &babble, start_mean, scale, &mut rng)
+        })
+        .collect()
 }
 
 /// Clips of a folder that babble, at most.

@@ -11,7 +11,6 @@ use crate::em::source::{Source, in_order};
 use crate::em::{Aligner, Parameters, Start};
 use crate::error::{Error, Result, bail};
 use crate::features::FeatureFolder;
-use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::system::Density;
 use lipstream::kinds::likelihood::Model;
 use lipstream::progress::Progress;
@@ -109,13 +108,7 @@ fn first_look(hearing: &Parameters, train: &Clips, progress: &dyn Progress) -> R
     };
     in_order(clips.len(), work, |(utterance, path)| {
         match path {
-            Some(path) => {
-                let labels: Vec<_> = path
-                    .iter()
-                    .map(|&(a, _)| (a / N_EMITTING, a % N_EMITTING))
-                    .collect();
-                sums.add(&utterance, &labels);
-            }
+            Some(path) => sums.add(&utterance, &em::labels(&path)),
             None => lost.push(utterance.id),
         }
         Ok(())

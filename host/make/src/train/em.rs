@@ -153,14 +153,17 @@ fn align(parameters: &Parameters, train: &Clips, observed: Observed, audio_size:
         let Some(path) = path else { return Ok(()) };
         path.iter().for_each(|&(_, v)| aligned.visual_frames[v] += 1.0);
         aligned.said.add(&bigram::said_on(&path));
-        let labels: Vec<_> = path
-            .iter()
-            .map(|&(a, _)| (a / N_EMITTING, a % N_EMITTING))
-            .collect();
-        aligned.sound.add(&heard, &labels);
+        aligned.sound.add(&heard, &labels(&path));
         Ok(())
     })?;
     Ok(aligned)
+}
+
+/// Phone and state of every frame of a path.
+pub(super) fn labels(path: &em::Path) -> Vec<(usize, usize)> {
+    path.iter()
+        .map(|&(a, _)| (a / N_EMITTING, a % N_EMITTING))
+        .collect()
 }
 
 /// Parts joint densities into those of the sound, the first `audio_size` numbers, and those of the mouth.
