@@ -235,3 +235,56 @@ fn a_background_without_a_face_gets_one_line() {
     ];
     desk.refuses(&folder, "wall.mp4");
 }
+
+/// Kills a run in mid-film, and lets another one finish it.
+#[test]
+#[cfg(unix)]
+fn a_killed_film_goes_on_and_is_the_same() {
+    let desk = Desk::new();
+    desk.parameters("long.npy", &drawn::babble(&desk.space, 6000));
+    let words = |output| {
+        [
+            "render",
+            "long.npy",
+            "-m",
+            "mouth.safetensors",
+            "--noise",
+            "2",
+            "--scale",
+            "2",
+            "-o",
+            output,
+        ]
+    };
+    let part = desk.path("o.mp4.part");
+    let mut killed = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+        .current_dir(desk.folder.path())
+        .args(words("o.mp4"))
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let size = || std::fs::metadata(&part).map_or(0, |part| part.len());
+    // A few seconds of film.
+    while size() < 100_000 {
+        assert!(killed.try_wait().unwrap().is_none(), "the film was done too soon");
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    killed.kill().unwrap();
+    killed.wait().unwrap();
+    assert!(size() > 0 && !desk.path("o.mp4").exists());
+    let run = |output| {
+        let done = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .current_dir(desk.folder.path())
+            .args(words(output))
+            .output()
+            .unwrap();
+        assert!(done.status.success());
+        String::from_utf8(done.stderr).unwrap()
+    };
+    let said = run("o.mp4");
+    assert!(said.contains("goes on behind them"), "{said}");
+    assert!(!run("whole.mp4").contains("interrupted"));
+    let read = |name| std::fs::read(desk.path(name)).unwrap();
+    assert!(read("o.mp4") == read("whole.mp4"));
+    assert!(!part.exists());
+}

@@ -37,12 +37,20 @@ pub struct Steps<'a> {
 impl<'a> Steps<'a> {
     /// Tells `progress` that `what` begins, a piece of work of `all` steps.
     pub fn begin(progress: &'a dyn Progress, what: &'static str, all: usize) -> Self {
+        Self::go_on(progress, what, 0, all)
+    }
+
+    /// The same where `done` steps were made by an interrupted run.
+    pub fn go_on(progress: &'a dyn Progress, what: &'static str, done: usize, all: usize) -> Self {
         progress.step(what, 0, all);
+        if done > 0 {
+            progress.step(what, done, all);
+        }
         Self {
             progress,
             what,
             all,
-            done: Mutex::new(0),
+            done: Mutex::new(done),
         }
     }
 

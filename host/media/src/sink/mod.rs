@@ -1,6 +1,7 @@
 //! Where pictures go: a video file, another program, a folder, a pipe. A sink knows nothing of what was drawn.
 //!
-//! To add one: a file here with its [`Sink`]. Pictures are handed over one by one and not kept. What a sink makes is whole or absent.
+//! To add one: a file here with its [`Sink`]. Pictures are handed over one by one and not kept. What a sink makes is whole or absent; what takes
+//! long can be gone on with when the program was killed ([`Sink::begun`]).
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -11,11 +12,13 @@ use crate::sound::{self, SoundError};
 
 mod ffmpeg;
 mod mp4;
+mod part;
 mod png;
 mod raw;
 
 pub use ffmpeg::Ffmpeg;
 pub use mp4::{Mp4, Mp4Bytes};
+pub use part::Begun;
 pub use png::{PngFrames, write_png};
 pub use raw::RawFrames;
 
@@ -147,6 +150,11 @@ pub trait Sink {
     /// What the encoder, the file or the program behind it says.
     fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError>;
 
+    /// What an interrupted run has made of the film, in whole seconds: that many pictures are not to be handed over again.
+    fn begun(&self) -> Begun {
+        Begun::Nothing
+    }
+
     /// All pictures have come: what was made gets its name.
     ///
     /// # Errors
@@ -197,7 +205,7 @@ mod tests {
     fn png_frames_are_read_back_and_appear_together() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("frames");
-        let mut sink = Box::new(PngFrames::new(&target, &film()).unwrap());
+        let mut sink = Box::new(PngFrames::new(&target, &film(), 1).unwrap());
         let picture: Vec<u8> = (0..768).map(|i| (i * 7 % 256) as u8).collect();
         sink.picture(&picture).unwrap();
         sink.picture(&[9; 768]).unwrap();
@@ -220,7 +228,7 @@ mod tests {
         reader.next_frame(&mut back).unwrap();
         assert_eq!(back, picture);
         // What is there is not overwritten.
-        assert!(PngFrames::new(&target, &film()).is_err());
+        assert!(PngFrames::new(&target, &film(), 1).is_err());
     }
 
     #[test]
@@ -229,8 +237,8 @@ mod tests {
         for name in ["film.mp4", "frames"] {
             let path = folder.path().join(name);
             let mut sink: Box<dyn Sink> = match name {
-                "frames" => Box::new(PngFrames::new(&path, &film()).unwrap()),
-                _ => Box::new(Mp4::new(&path, &film()).unwrap()),
+                "frames" => Box::new(PngFrames::new(&path, &film(), 1).unwrap()),
+                _ => Box::new(Mp4::going_on(&path, &film(), 1).unwrap()),
             };
             sink.picture(&[5; 768]).unwrap();
             drop(sink);
@@ -258,6 +266,126 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), memory.bytes().unwrap());
         // Nothing is left beside it.
         assert_eq!(std::fs::read_dir(path.parent().unwrap()).unwrap().count(), 1);
+    }
+
+    /// Pictures that move, no two alike.
+    fn moving(number: usize) -> Vec<u8> {
+        (0..768)
+            .map(|i| ((i * (7 + number) + 31 * number) % 256) as u8)
+            .collect()
+    }
+
+    /// What lies at `part` while `sink` is at work stays when it is dropped, as if the program had been killed.
+    fn killed(sink: Mp4, part: &Path) -> Vec<u8> {
+        let bytes = std::fs::read(part).unwrap();
+        drop(sink);
+        assert!(!part.exists());
+        std::fs::write(part, &bytes).unwrap();
+        bytes
+    }
+
+    #[test]
+    fn a_killed_film_goes_on_behind_its_whole_groups() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, whole) = (folder.path().join("film.mp4"), folder.path().join("whole.mp4"));
+        let part = folder.path().join("film.mp4.part");
+        // Groups wait for their turn on as many cores as there are.
+        let all = 25 * (std::thread::available_parallelism().map_or(1, usize::from) + 4);
+        let feed = |sink: &mut Mp4, until: usize| {
+            for number in sink.begun().pictures()..until {
+                sink.picture(&moving(number)).unwrap();
+            }
+        };
+        let finish = |path: &Path, key| {
+            let mut sink = Mp4::going_on(path, &film(), key).unwrap();
+            let begun = sink.begun();
+            feed(&mut sink, all);
+            Box::new(sink).finish().unwrap();
+            begun
+        };
+        assert_eq!(finish(&whole, 1), Begun::Nothing);
+        let mut sink = Mp4::going_on(&path, &film(), 1).unwrap();
+        feed(&mut sink, all - 30);
+        let bytes = killed(sink, &part);
+        // A picture that was cut short, and a disk that was promised more than it got.
+        std::fs::write(&part, [&bytes[..bytes.len() - 3], &[0; 4096]].concat()).unwrap();
+        let begun = finish(&path, 1);
+        assert!(
+            matches!(begun, Begun::Pictures(n) if n >= 25 && n % 25 == 0),
+            "{begun:?}"
+        );
+        assert_eq!(std::fs::read(&path).unwrap(), std::fs::read(&whole).unwrap());
+        assert!(!part.exists());
+        // What was begun otherwise gives way.
+        let mut sink = Mp4::going_on(&path, &film(), 2).unwrap();
+        feed(&mut sink, all - 30);
+        killed(sink, &part);
+        assert_eq!(finish(&path, 1), Begun::Another);
+        assert_eq!(std::fs::read(&path).unwrap(), std::fs::read(&whole).unwrap());
+    }
+
+    #[test]
+    fn a_part_of_somebody_elses_or_at_work_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        let part = folder.path().join("film.mp4.part");
+        let make = || {
+            let mut sink = Mp4::going_on(&path, &film(), 1).unwrap();
+            let begun = sink.begun();
+            sink.picture(&moving(1)).unwrap();
+            Box::new(sink).finish().unwrap();
+            begun
+        };
+        std::fs::write(&part, b"half of a download").unwrap();
+        assert_eq!(make(), Begun::Nothing);
+        assert_eq!(std::fs::read(&part).unwrap(), b"half of a download");
+        std::fs::remove_file(&part).unwrap();
+        let mut at_work = Mp4::going_on(&path, &film(), 1).unwrap();
+        for number in 0..100 {
+            at_work.picture(&moving(number)).unwrap();
+        }
+        assert_eq!(make(), Begun::Nothing);
+        assert!(part.exists());
+        Box::new(at_work).finish().unwrap();
+        assert!(!part.exists());
+    }
+
+    #[test]
+    fn a_killed_folder_goes_on_behind_its_whole_pictures() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("frames/");
+        let part = folder.path().join("frames.part");
+        let begin = |key| PngFrames::new(&target, &film(), key).unwrap();
+        let mut sink = begin(1);
+        for number in 0..27 {
+            sink.picture(&moving(number)).unwrap();
+        }
+        let elsewhere = folder.path().join("elsewhere");
+        std::fs::rename(&part, &elsewhere).unwrap();
+        drop(sink);
+        std::fs::rename(&elsewhere, &part).unwrap();
+        std::fs::write(part.join("000027.png"), b"half").unwrap();
+        let mut sink = Box::new(begin(1));
+        assert_eq!(sink.begun(), Begun::Pictures(25));
+        // Another run at the same time works elsewhere.
+        assert_eq!(begin(1).begun(), Begun::Nothing);
+        for number in 25..30 {
+            sink.picture(&moving(number)).unwrap();
+        }
+        sink.finish().unwrap();
+        let mut names: Vec<_> = std::fs::read_dir(&target)
+            .unwrap()
+            .map(|e| e.unwrap().file_name().into_string().unwrap())
+            .collect();
+        names.sort();
+        let wanted: Vec<_> = (1..31).map(|n| format!("{n:06}.png")).collect();
+        assert_eq!(names, wanted);
+        assert!(!part.exists());
+        let file = std::io::BufReader::new(std::fs::File::open(target.join("000027.png")).unwrap());
+        let mut reader = ::png::Decoder::new(file).read_info().unwrap();
+        let mut back = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut back).unwrap();
+        assert_eq!(back, moving(26));
     }
 
     #[test]

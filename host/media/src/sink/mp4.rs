@@ -1,13 +1,15 @@
 //! MP4 with H.264 and AAC, without any program but this one.
 //!
 //! The header comes first and says where each picture lies, so nothing can be written before the last picture is encoded. Until then
-//! the encoded film waits in two spools, one a track: unnamed files for [`Mp4`], memory for [`Mp4Bytes`].
+//! the encoded film waits in two spools, one a track: files for [`Mp4`], memory for [`Mp4Bytes`]. The files have no name, but that of the pictures
+//! in a film that may be gone on with ([`Mp4::going_on`]).
 use std::fs::File;
-use std::io::{BufReader, Cursor, Read, Seek, Write};
+use std::io::{BufReader, Cursor, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use lipstream_core::SAMPLE_RATE_HZ;
 
+use super::part::{self, Begun, Part, Spool};
 use super::{Film, Sink, SinkError};
 use crate::encode::{aac, colour, h264, mp4};
 use crate::files::{self, aside_error, folder_of};
@@ -16,6 +18,8 @@ use crate::files::{self, aside_error, folder_of};
 struct Spooled<S> {
     encoder: h264::VideoEncoder,
     pictures: S,
+    /// Where the first picture lies in its spool.
+    start: u64,
     sound: Option<(aac::Sound, S)>,
     width: usize,
     height: usize,
@@ -23,8 +27,13 @@ struct Spooled<S> {
 }
 
 impl<S: Read + Write + Seek> Spooled<S> {
-    fn new(film: &Film, mut spool: impl FnMut() -> Result<S, SinkError>) -> Result<Self, SinkError> {
-        let encoder = h264::VideoEncoder::new(film.width, film.height, film.fps)?;
+    /// Pictures are written to `pictures`, at whose end it stands: behind those of `sizes` bytes each that lie from `start` on.
+    fn new(
+        film: &Film,
+        (pictures, start, sizes): (S, u64, Vec<u32>),
+        spool: impl FnOnce() -> Result<S, SinkError>,
+    ) -> Result<Self, SinkError> {
+        let encoder = h264::VideoEncoder::new(film.width, film.height, film.fps)?.behind(sizes);
         let sound = match film.sound {
             Some(sound) => {
                 let mut units = spool()?;
@@ -39,7 +48,8 @@ impl<S: Read + Write + Seek> Spooled<S> {
         };
         Ok(Self {
             encoder,
-            pictures: spool()?,
+            pictures,
+            start,
             sound,
             width: film.width,
             height: film.height,
@@ -55,15 +65,15 @@ impl<S: Read + Write + Seek> Spooled<S> {
     /// Writes the file.
     fn write(mut self, out: &mut dyn Write) -> Result<(), SinkError> {
         let video = self.encoder.finish(&mut self.pictures)?;
-        let from_start = |mut spool: S| -> Result<BufReader<S>, SinkError> {
-            spool.rewind()?;
+        let from = |start, mut spool: S| -> Result<BufReader<S>, SinkError> {
+            spool.seek(SeekFrom::Start(start))?;
             Ok(BufReader::new(spool))
         };
-        let mut pictures = from_start(self.pictures)?;
+        let mut pictures = from(self.start, self.pictures)?;
         let comment = self.comment.as_deref();
         match self.sound {
             Some((sound, units)) => {
-                let mut units = from_start(units)?;
+                let mut units = from(0, units)?;
                 mp4::write(out, &video, &mut pictures, Some((&sound, &mut units)), comment)?;
             }
             None => mp4::write(out, &video, &mut pictures, None, comment)?,
@@ -82,7 +92,10 @@ impl Mp4Bytes {
     ///
     /// That an encoder refuses the film's size, rate or sound.
     pub fn new(film: &Film) -> Result<Self, SinkError> {
-        Ok(Self(Spooled::new(film, || Ok(Cursor::default()))?))
+        let memory = Cursor::default;
+        Ok(Self(Spooled::new(film, (memory(), 0, Vec::new()), || {
+            Ok(memory())
+        })?))
     }
 
     /// The next picture, see [`Sink::picture`].
@@ -110,6 +123,8 @@ impl Mp4Bytes {
 pub struct Mp4 {
     path: PathBuf,
     film: Spooled<File>,
+    part: Option<Part>,
+    begun: Begun,
 }
 
 impl Mp4 {
@@ -121,13 +136,46 @@ impl Mp4 {
     pub fn new(path: &Path, film: &Film) -> Result<Self, SinkError> {
         // The spools lie where the film will: a folder for temporary files may be memory. They have no name, so nothing is left of
         // them however this program ends.
-        let folder = folder_of(path)?;
-        let spool = || Ok(tempfile::tempfile_in(folder).map_err(aside_error(folder))?);
+        let film = Spooled::new(film, (unnamed(path)?, 0, Vec::new()), || unnamed(path))?;
         Ok(Self {
             path: path.to_owned(),
-            film: Spooled::new(film, spool)?,
+            film,
+            part: None,
+            begun: Begun::Nothing,
         })
     }
+
+    /// The same, but should the program be killed, what was encoded stays in `path` with `.part` behind it, and the next call with this `key`, a
+    /// number for everything that the pictures depend on, goes on behind it: see [`Sink::begun`].
+    ///
+    /// # Errors
+    ///
+    /// As [`Mp4::new`].
+    pub fn going_on(path: &Path, film: &Film, key: u64) -> Result<Self, SinkError> {
+        let folder = folder_of(path)?;
+        let Some(spool) = part::open(path, film, key).map_err(aside_error(folder))? else {
+            return Self::new(path, film);
+        };
+        let Spool {
+            part,
+            file,
+            start,
+            sizes,
+            begun,
+        } = spool;
+        Ok(Self {
+            path: path.to_owned(),
+            film: Spooled::new(film, (file, start, sizes), || unnamed(path))?,
+            part: Some(part),
+            begun,
+        })
+    }
+}
+
+/// A file without a name in the folder of `path`.
+fn unnamed(path: &Path) -> Result<File, SinkError> {
+    let folder = folder_of(path)?;
+    Ok(tempfile::tempfile_in(folder).map_err(aside_error(folder))?)
 }
 
 impl Sink for Mp4 {
@@ -135,8 +183,22 @@ impl Sink for Mp4 {
         self.film.picture(rgb)
     }
 
+    fn begun(&self) -> Begun {
+        self.begun
+    }
+
     fn finish(self: Box<Self>) -> Result<(), SinkError> {
-        let Self { path, film } = *self;
-        Ok(files::write_whole(&path, |out| film.write(out))?)
+        let Self {
+            path, film, mut part, ..
+        } = *self;
+        if let Some(part) = part.as_mut().filter(|_| !film.encoder.is_empty()) {
+            // A full disk, say, costs no picture.
+            part.keep();
+        }
+        files::write_whole(&path, |out| film.write(out))?;
+        if let Some(part) = part {
+            part.remove();
+        }
+        Ok(())
     }
 }

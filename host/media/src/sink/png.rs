@@ -1,15 +1,19 @@
 //! Numbered PNG files in a folder of their own, for editing and compositing programs.
-use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufWriter, Read as _, Seek as _, Write};
 use std::path::{Path, PathBuf};
 
+use super::part::{Begun, Part};
 use super::{Film, Sink, SinkError, aside, rename};
-use crate::files::{self, FileError};
+use crate::files::{self, FileError, aside_error, folder_of};
 
 /// `000001.png` and so on, in a folder that appears when all are there.
 pub struct PngFrames {
     folder: PathBuf,
-    aside: tempfile::TempDir,
+    part: Part,
+    /// Locked as long as pictures are made.
+    _note: File,
+    begun: Begun,
     width: u32,
     height: u32,
     comment: Option<String>,
@@ -17,8 +21,14 @@ pub struct PngFrames {
 }
 
 impl PngFrames {
-    /// Refuses a folder that exists: its pictures would mix with these.
-    pub fn new(folder: &Path, film: &Film) -> Result<Self, SinkError> {
+    /// Refuses a folder that exists: its pictures would mix with these. Until they are all there they are in a folder beside it with `.part` behind its
+    /// name; should the program be killed, that stays, and the next call with this `key`, a number for everything that the pictures depend on, goes on behind
+    /// them: see [`Sink::begun`].
+    ///
+    /// # Errors
+    ///
+    /// That the folder is there, that there is no room beside it, or that pictures are too large.
+    pub fn new(folder: &Path, film: &Film, key: u64) -> Result<Self, SinkError> {
         if folder.exists() {
             return Err(SinkError::Exists(folder.to_owned()));
         }
@@ -28,15 +38,96 @@ impl PngFrames {
                 height: film.height,
             })
         };
+        let (width, height) = (side(film.width)?, side(film.height)?);
+        let (part, note, begun) = open(folder, key, film.fps as usize)?;
         Ok(Self {
             folder: folder.to_owned(),
-            aside: aside(folder)?,
-            width: side(film.width)?,
-            height: side(film.height)?,
+            part,
+            _note: note,
+            width,
+            height,
             comment: film.comment.map(str::to_owned),
-            count: 0,
+            count: begun.pictures(),
+            begun,
         })
     }
+}
+
+/// Holds the key of the film whose pictures a part has, and is locked by the run that makes them.
+const NOTE: &str = "lipstream-key";
+
+/// The part of a folder, or a new one; and its note.
+fn open(folder: &Path, key: u64, fps: usize) -> Result<(Part, File, Begun), FileError> {
+    let beside = folder_of(folder)?;
+    let path = Part::beside(folder);
+    let there = path.exists();
+    let (part, mut note) = match note_of(&path, !there) {
+        Ok(Some(note)) => (Part::new(path), note),
+        // It is somebody else's folder, or another run is at work in it: pictures go into one whose name nobody has.
+        _ if there => {
+            let aside = aside(folder)?.keep();
+            let note = note_of(&aside, true).map_err(aside_error(beside))?;
+            (
+                Part::new(aside),
+                note.ok_or_else(taken).map_err(aside_error(beside))?,
+            )
+        }
+        Ok(None) => return Err(aside_error(beside)(taken())),
+        Err(error) => return Err(aside_error(beside)(error)),
+    };
+    let begun = claim(&part, &mut note, key, fps).map_err(aside_error(part.path()))?;
+    Ok((part, note, begun))
+}
+
+fn taken() -> io::Error {
+    io::Error::new(io::ErrorKind::ResourceBusy, "another run is at work in it")
+}
+
+/// The note in a part, which is made if `make` says so. None: another run has locked it.
+fn note_of(part: &Path, make: bool) -> io::Result<Option<File>> {
+    if make {
+        std::fs::create_dir_all(part)?;
+    }
+    let note = OpenOptions::new()
+        .read(true)
+        .write(true)
+        .create(make)
+        .truncate(false)
+        .open(part.join(NOTE))?;
+    Ok(note.try_lock().is_ok().then_some(note))
+}
+
+/// Counts the pictures that are there of the film with this key, whole seconds of `fps`; those of another give way.
+fn claim(part: &Part, note: &mut File, key: u64, fps: usize) -> io::Result<Begun> {
+    let key = format!("{key:016x}\n");
+    let mut there = String::new();
+    note.read_to_string(&mut there)?;
+    let pictures = (1..)
+        .take_while(|number| part.path().join(name(*number)).is_file())
+        .count();
+    if there == key {
+        // The last one may be half written.
+        let whole = pictures.saturating_sub(1) / fps.max(1) * fps;
+        return Ok(match whole {
+            0 => Begun::Nothing,
+            whole => Begun::Pictures(whole),
+        });
+    }
+    for number in 1..=pictures {
+        std::fs::remove_file(part.path().join(name(number)))?;
+    }
+    note.set_len(0)?;
+    note.rewind()?;
+    note.write_all(key.as_bytes())?;
+    Ok(match there.is_empty() {
+        true => Begun::Nothing,
+        false => Begun::Another,
+    })
+}
+
+/// Name of picture `number`, from 1.
+fn name(number: usize) -> String {
+    format!("{number:06}.png")
 }
 
 fn write(
@@ -72,7 +163,7 @@ pub fn write_png(path: &Path, width: usize, height: usize, rgb: &[u8]) -> Result
 impl Sink for PngFrames {
     fn picture(&mut self, rgb: &[u8]) -> Result<(), SinkError> {
         self.count += 1;
-        let path = self.aside.path().join(format!("{:06}.png", self.count));
+        let path = self.part.path().join(name(self.count));
         let file = File::create(&path).map_err(png::EncodingError::from);
         let (width, height, comment) = (self.width, self.height, self.comment.as_deref());
         let written = file.and_then(|file| write(BufWriter::new(file), width, height, rgb, comment));
@@ -83,13 +174,21 @@ impl Sink for PngFrames {
         })
     }
 
+    fn begun(&self) -> Begun {
+        self.begun
+    }
+
     fn finish(self: Box<Self>) -> Result<(), SinkError> {
+        let Self { folder, mut part, .. } = *self;
+        part.keep();
         #[cfg(unix)]
         {
             use std::os::unix::fs::PermissionsExt as _;
-            std::fs::set_permissions(self.aside.path(), std::fs::Permissions::from_mode(0o755))
-                .map_err(|e| FileError::write(&self.folder, e))?;
+            std::fs::set_permissions(part.path(), std::fs::Permissions::from_mode(0o755))
+                .map_err(|e| FileError::write(&folder, e))?;
         }
-        Ok(rename(&self.aside.keep(), &self.folder)?)
+        let note = part.path().join(NOTE);
+        std::fs::remove_file(&note).map_err(|e| FileError::write(&note, e))?;
+        Ok(rename(part.path(), &folder)?)
     }
 }

@@ -99,6 +99,10 @@ pub trait Scene {
     ///
     /// What keeps the picture from being drawn; [`Error::other`] takes an error of the scene's own.
     fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>>;
+
+    /// So many pictures, whole seconds, were drawn by an interrupted run: what comes next is the picture behind them, as it would have been. A scene in which no picture
+    /// depends on its number has nothing to do.
+    fn pass_over(&mut self, _pictures: usize) {}
 }
 
 /// Plays parameter frames, 100 a second, into pictures of a scene: each shows the parameters in the middle of its time, linear in
@@ -112,6 +116,8 @@ pub struct Player<'a> {
     last: Vec<f32>,
     before: Vec<f32>,
     pictures: usize,
+    /// Pictures that were drawn before.
+    begun: usize,
     /// Length of the sound, where there is one.
     samples: Option<usize>,
 }
@@ -128,10 +134,18 @@ impl<'a> Player<'a> {
             last: Vec::new(),
             before: Vec::new(),
             pictures: 0,
+            begun: 0,
         }
     }
 
-    /// Pictures drawn so far.
+    /// Goes on behind `pictures` pictures that an interrupted run has drawn: of those only the frames are looked at.
+    pub fn behind(mut self, pictures: usize) -> Self {
+        self.scene.pass_over(pictures);
+        self.begun = pictures;
+        self
+    }
+
+    /// Pictures so far, those that were there included.
     pub fn pictures(&self) -> usize {
         self.pictures
     }
@@ -156,6 +170,35 @@ impl<'a> Player<'a> {
             self.picture(&mut each)?;
         }
         Ok(())
+    }
+
+    /// All frames, `[frames, D]`, from the first to the end of the sound; `each` is called with every picture. Gives their number.
+    ///
+    /// # Errors
+    ///
+    /// Parameters that cannot be drawn, and what scene and `each` say.
+    pub fn play<E: From<Error>>(
+        mut self,
+        tracks: ArrayView2<f32>,
+        mut each: impl FnMut(&[u8]) -> Result<(), E>,
+        progress: &dyn Progress,
+    ) -> Result<usize, E> {
+        parameters::check(tracks).map_err(Error::from)?;
+        let samples = self
+            .samples
+            .unwrap_or_else(|| time::samples_covered(tracks.nrows()));
+        let all = length(samples, self.fps);
+        let steps = Steps::go_on(progress, PICTURES, self.begun, all);
+        let mut each = |rgb: &[u8]| -> Result<(), E> {
+            each(rgb)?;
+            steps.made();
+            Ok(())
+        };
+        for row in tracks.outer_iter() {
+            self.frame(&row.to_vec(), &mut each)?;
+        }
+        self.finish(&mut each)?;
+        Ok(all)
     }
 
     /// Whether the sound has not ended before the next picture.
@@ -196,6 +239,10 @@ impl<'a> Player<'a> {
     }
 
     fn picture<E: From<Error>>(&mut self, each: &mut impl FnMut(&[u8]) -> Result<(), E>) -> Result<(), E> {
+        if self.pictures < self.begun {
+            self.pictures += 1;
+            return Ok(());
+        }
         let last = self.frames - 1;
         let place = self.place().min(last as f32);
         let (at, part) = (place.floor() as usize, place.fract());
@@ -306,26 +353,10 @@ pub fn play<E: From<Error>>(
     tracks: ArrayView2<f32>,
     fps: u32,
     samples: Option<usize>,
-    mut sink: impl FnMut(&[u8]) -> Result<(), E>,
+    sink: impl FnMut(&[u8]) -> Result<(), E>,
     progress: &dyn Progress,
 ) -> Result<usize, E> {
-    parameters::check(tracks).map_err(Error::from)?;
-    let all = length(
-        samples.unwrap_or_else(|| time::samples_covered(tracks.nrows())),
-        fps,
-    );
-    let mut player = Player::new(scene, fps, samples);
-    let steps = Steps::begin(progress, PICTURES, all);
-    let mut each = |rgb: &[u8]| -> Result<(), E> {
-        sink(rgb)?;
-        steps.made();
-        Ok(())
-    };
-    for row in tracks.outer_iter() {
-        player.frame(&row.to_vec(), &mut each)?;
-    }
-    player.finish(&mut each)?;
-    Ok(all)
+    Player::new(scene, fps, samples).play(tracks, sink, progress)
 }
 
 /// What is counted while a film is drawn.

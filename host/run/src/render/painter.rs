@@ -1,14 +1,12 @@
 //! One picture: PCA expansion (X&L eq. 16), camera noise (section 6.1), enlargement.
 use ndarray::{ArrayView1, ArrayView2};
-use rand::SeedableRng as _;
-use rand_pcg::Pcg32;
 
 use super::enlarge::Enlarger;
 use super::refine::{Candidates, Choice};
 use super::{Scene, Settings};
 use crate::error::{Result, bail};
 use crate::mouth::MouthSpace;
-use crate::random::normal;
+use crate::random::{normal, of_picture};
 
 /// The mouth alone, in pictures of one size.
 pub struct Painter<'a> {
@@ -19,7 +17,6 @@ pub struct Painter<'a> {
     width: usize,
     height: usize,
     noise: f32,
-    random: Pcg32,
     details: Option<Details>,
     /// Pictures drawn so far.
     drawn: usize,
@@ -51,8 +48,6 @@ impl<'a> Painter<'a> {
             width,
             height,
             noise: settings.noise,
-            // The same parameters give the same video.
-            random: Pcg32::seed_from_u64(7),
             details: None,
             drawn: 0,
         })
@@ -97,6 +92,10 @@ impl Scene for Painter<'_> {
         self.space.size()
     }
 
+    fn pass_over(&mut self, pictures: usize) {
+        self.drawn += pictures;
+    }
+
     /// From eigenmouth weights `[D]`.
     fn draw(&mut self, weights: ArrayView1<f32>) -> Result<Vec<u8>> {
         let (image, _) = self.native.split_at_mut(self.space.mean.len());
@@ -110,12 +109,13 @@ impl Scene for Painter<'_> {
                 .zip(detail)
                 .for_each(|(level, more)| *level += more);
         }
-        self.drawn += 1;
         if self.noise > 0.0 {
+            let mut random = of_picture(self.drawn);
             for value in image.iter_mut() {
-                *value += self.noise * normal(&mut self.random);
+                *value += self.noise * normal(&mut random);
             }
         }
+        self.drawn += 1;
         for value in image {
             *value = value.clamp(0.0, 255.0);
         }

@@ -9,8 +9,9 @@ use lipstream::render::{self, Scene, Tracks, energy};
 use lipstream_make::vision;
 use ndarray::Array2;
 
+use super::going_on::{begun, sink};
 use super::source::{Sound, Source};
-use super::{Args, Drawn, sink};
+use super::{Args, Drawn};
 use crate::commands::faces::described;
 use crate::progress::Terminal;
 
@@ -48,16 +49,18 @@ pub(super) fn tracks(
     sound: &Sound,
 ) -> Result<Array2<f32>> {
     let mut tracks = Tracks::new(space.size());
-    source.play(args, sound, &mut tracks, |_| Ok(()))?;
+    source.play(args, sound, (&mut tracks, 0), |_| Ok(()))?;
     Ok(tracks.into_rows())
 }
 
 /// A film of a scene that knew its pictures beforehand.
 pub(super) fn film(args: &Args, scene: &mut dyn Scene, tracks: &Array2<f32>, sound: &Sound) -> Result<Drawn> {
-    let mut sink = sink(&args.output, &render::film_of(scene, args.fps, sound.track()))?;
+    let mut sink = sink(args, &render::film_of(scene, args.fps, sound.track()))?;
     let terminal = Terminal::default();
-    let steps = Steps::begin(&terminal, render::PICTURES, tracks.nrows());
-    for row in tracks.outer_iter() {
+    let begun = begun(args, sink.as_ref(), &terminal);
+    scene.pass_over(begun);
+    let steps = Steps::go_on(&terminal, render::PICTURES, begun, tracks.nrows());
+    for row in tracks.outer_iter().skip(begun) {
         sink.picture(&scene.draw(row)?)?;
         steps.made();
     }

@@ -1,11 +1,11 @@
 //! `lipstream render`: a video of the mouth, or of a face with it, with sound.
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
 
 use super::choices;
 use super::faces::{FaceArgs, mouth};
-use super::streams::{ending, file_name, is_standard, name, read_sound, say};
+use super::streams::{ending, file_name, name, read_sound, say};
 use crate::progress::Terminal;
 use lipstream::cues;
 use lipstream::engine::{Converted, Engine, RunSettings};
@@ -16,11 +16,12 @@ use lipstream::{parameters, time};
 use lipstream_make::details;
 use lipstream_make::features::FeatureFolder;
 use lipstream_media::files;
-use lipstream_media::sink::{Ffmpeg, Film, Mp4, PngFrames, RawFrames, Sink};
 
 mod face;
+mod going_on;
 mod source;
 
+use going_on::{begun, sink};
 use source::{Sound, Source};
 
 /// Draw the mouth that speech or parameters describe
@@ -133,8 +134,9 @@ fn alone(
         return face::film(args, &mut scene, &tracks, sound);
     }
     let size = scene.size();
-    let mut sink = sink(&args.output, &render::film(&scene, settings, sound.track()))?;
-    let pictures = source.play(args, sound, &mut scene, |rgb| Ok(sink.picture(rgb)?))?;
+    let mut sink = sink(args, &render::film(&scene, settings, sound.track()))?;
+    let begun = begun(args, sink.as_ref(), &Terminal::default());
+    let pictures = source.play(args, sound, (&mut scene, begun), |rgb| Ok(sink.picture(rgb)?))?;
     sink.finish()?;
     Ok(Drawn {
         pictures,
@@ -170,25 +172,5 @@ fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
         pictures: rendered.pictures,
         size: (rendered.width, rendered.height),
         sound: true,
-    })
-}
-
-/// Where the pictures go, by the output's name.
-fn sink(output: &Path, film: &Film) -> Result<Box<dyn Sink>> {
-    if is_standard(output) {
-        return Ok(Box::new(RawFrames::new(std::io::BufWriter::new(
-            std::io::stdout(),
-        ))));
-    }
-    let is_folder = output
-        .as_os_str()
-        .to_string_lossy()
-        .ends_with(std::path::is_separator);
-    if is_folder {
-        return Ok(Box::new(PngFrames::new(output, film)?));
-    }
-    Ok(match ending(output).as_str() {
-        "mp4" => Box::new(Mp4::new(output, film)?),
-        _ => Box::new(Ffmpeg::new(output, film)?),
     })
 }

@@ -108,21 +108,18 @@ fn check_model(tensors: &Tensors, path: &Path, id: u32) -> Result<()> {
 }
 
 impl Source {
-    /// Plays all of it into a scene; `each` is called with every picture. Gives their number.
+    /// Plays all of it into a scene, behind `begun` pictures that were drawn before; `each` is called with every picture that comes. Gives the number of all.
     pub(super) fn play(
         &mut self,
         args: &Args,
         sound: &Sound,
-        scene: &mut dyn Scene,
+        (scene, begun): (&mut dyn Scene, usize),
         mut each: impl FnMut(&[u8]) -> Result<()>,
     ) -> Result<usize> {
-        let length = sound.length;
+        let mut player = Player::new(scene, args.fps, sound.length).behind(begun);
         match self {
-            Source::Parameters(tracks) => {
-                render::play(scene, tracks.view(), args.fps, length, each, &Terminal::default())
-            }
+            Source::Parameters(tracks) => player.play(tracks.view(), each, &Terminal::default()),
             Source::Stream(recording) => {
-                let mut player = Player::new(scene, args.fps, length);
                 let played = recording.play(|parameters, _| player.frame(parameters, &mut each))?;
                 if played.frames == 0 {
                     bail!("{} holds no frame", args.input.display());
@@ -133,7 +130,7 @@ impl Source {
                 }
                 Ok(player.pictures())
             }
-            Source::Speech(engine) => of_speech(engine, args, sound, scene, each),
+            Source::Speech(engine) => of_speech(engine, args, sound, (player, begun), each),
         }
     }
 }
@@ -143,7 +140,7 @@ fn of_speech(
     engine: &Engine,
     args: &Args,
     sound: &Sound,
-    scene: &mut dyn Scene,
+    (mut player, begun): (Player, usize),
     mut each: impl FnMut(&[u8]) -> Result<()>,
 ) -> Result<usize> {
     let (Some(track), Some(length)) = (sound.track(), sound.length) else {
@@ -151,9 +148,8 @@ fn of_speech(
     };
     let all = render::length(length, args.fps);
     let mut session = engine.session(&RunSettings::default())?;
-    let mut player = Player::new(scene, args.fps, Some(length));
     let terminal = Terminal::default();
-    let steps = Steps::begin(&terminal, render::PICTURES, all);
+    let steps = Steps::go_on(&terminal, render::PICTURES, begun, all);
     let mut picture = |rgb: &[u8]| {
         each(rgb)?;
         steps.made();

@@ -90,6 +90,21 @@ impl VideoEncoder {
         Self::on(threads, width, height, fps)
     }
 
+    /// Goes on behind pictures that were encoded before, whole groups of `fps` pictures, whose samples have these sizes.
+    pub fn behind(mut self, sizes: Vec<u32>) -> Self {
+        let fps = self.video.fps as usize;
+        debug_assert!(sizes.len().is_multiple_of(fps));
+        self.pushed = sizes.len();
+        self.video.key = (0..sizes.len()).map(|n| n.is_multiple_of(fps)).collect();
+        self.video.sizes = sizes;
+        self
+    }
+
+    /// Whether no picture came yet.
+    pub fn is_empty(&self) -> bool {
+        self.pushed == 0
+    }
+
     /// [`VideoEncoder::new`] on so many threads.
     fn on(threads: usize, width: usize, height: usize, fps: u32) -> Result<Self, EncodeError> {
         let even = |side: usize| side > 0 && side.is_multiple_of(2);

@@ -61,6 +61,11 @@ impl Region {
             + (at(left, top + 1) * (1.0 - u) + at(left + 1, top + 1) * u) * v
     }
 
+    /// Forgets the picture before, from whose light the next one's is found sooner.
+    pub fn begin_anew(&mut self) {
+        self.membrane.begin_anew();
+    }
+
     /// Clones `source` (at a place of the mouth's rectangle) into `picture`, in which `map` says where the mouth's rectangle lies. `share` says how much of the source is
     /// shown at a place of the rectangle, 0..=1; where that is nothing the border says nothing of the light either.
     ///

@@ -16,6 +16,8 @@ pub struct LiveFace {
     space: MouthSpace,
     portrait: Portrait,
     fps: u32,
+    /// Pictures drawn so far.
+    drawn: usize,
     /// Candidates that the last picture showed.
     detail: Option<usize>,
     lower: Option<usize>,
@@ -40,6 +42,7 @@ impl LiveFace {
             // What will be said is not known: the recording's own mouths are drawn instead.
             let some: Vec<Shown> = evenly(keys.nrows())
                 .map(|n| Shown {
+                    number: n,
                     weights: match mouths.whose() {
                         Whose::Opened => none.view(),
                         Whose::Trained | Whose::Models => keys.row(n),
@@ -59,6 +62,7 @@ impl LiveFace {
             space,
             portrait,
             fps: settings.fps,
+            drawn: 0,
             detail: None,
             lower: None,
         })
@@ -132,11 +136,13 @@ impl LiveFace {
             jaws.picture(now)
         });
         let shown = Shown {
+            number: self.drawn,
             weights: parameters,
             moment,
             detail,
             lower,
         };
+        self.drawn += 1;
         self.portrait.draw(&mut self.footage, &self.space, &shown)
     }
 }

@@ -18,10 +18,14 @@ pub struct Membrane {
     levels: Vec<[f32; 3]>,
     /// Relaxation factor.
     omega: f32,
+    /// Whether nothing is known of a membrane before.
+    anew: bool,
 }
 
 /// The membrane is found when no node moves further than this in a round, in levels of 0..255.
 const STILL: f32 = 0.02;
+/// The same where it starts from nothing: it ends as near as one that has followed many pictures.
+const STILL_ANEW: f32 = 0.002;
 const MOST_ROUNDS: usize = 1000;
 
 impl Membrane {
@@ -54,12 +58,24 @@ impl Membrane {
             border,
             levels: vec![[0.0; 3]; width * height],
             omega: 2.0 / (1.0 + (std::f32::consts::PI / (size + 1.0)).sin()),
+            anew: true,
         }
+    }
+
+    /// Forgets the membrane before: what is laid next depends on its own border alone.
+    pub fn begin_anew(&mut self) {
+        self.levels.fill([0.0; 3]);
+        self.anew = true;
     }
 
     /// Lays the membrane over the border's differences, `difference(x, y)` at each of its nodes, in levels; where there is none the border is free and follows the
     /// membrane. It starts from the one before, which is near where pictures follow each other.
     pub fn lay(&mut self, difference: impl Fn(usize, usize) -> Option<[f32; 3]>) {
+        let still = if std::mem::take(&mut self.anew) {
+            STILL_ANEW
+        } else {
+            STILL
+        };
         let mut free = Vec::new();
         for at in &self.border {
             match difference(at % self.width, at / self.width) {
@@ -82,7 +98,7 @@ impl Membrane {
                     furthest = furthest.max(step.abs());
                 }
             }
-            if furthest < STILL {
+            if furthest < still {
                 break;
             }
         }

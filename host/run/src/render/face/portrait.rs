@@ -1,8 +1,6 @@
 //! What draws one picture of a recording whose mouth says something else. What the picture shows is chosen by [`FaceScene`](super::FaceScene), which knows the whole film,
 //! or by [`LiveFace`](super::LiveFace), which knows what has been said so far.
 use ndarray::{Array1, ArrayView1};
-use rand::SeedableRng as _;
-use rand_pcg::Pcg32;
 
 use super::course::{Course, Moment};
 use super::footage::Footage;
@@ -14,11 +12,13 @@ use super::scene::FaceSettings;
 use crate::affine::Affine;
 use crate::error::{Result, bail};
 use crate::mouth::MouthSpace;
-use crate::random::normal;
+use crate::random::{normal, of_picture};
 use crate::render::refine::{CANDIDATES, Choice};
 
 /// What one picture shows.
 pub(super) struct Shown<'a> {
+    /// Number of the picture in the film, which its camera noise depends on.
+    pub(super) number: usize,
     /// Weights of the eigenmouths, `[D]`.
     pub(super) weights: ArrayView1<'a, f32>,
     /// Which recorded picture lies behind.
@@ -39,7 +39,6 @@ pub(super) struct Portrait {
     /// Standard deviation of the camera noise in levels.
     pub(super) noise: f32,
     region: Region,
-    random: Pcg32,
 }
 
 impl Portrait {
@@ -78,9 +77,15 @@ impl Portrait {
             choice,
             noise: settings.noise.unwrap_or(0.0),
             region: Region::of_mouth(width, height),
-            // The same parameters give the same film.
-            random: Pcg32::seed_from_u64(7),
         })
+    }
+
+    /// Forgets the picture before: the next one depends on nothing but itself.
+    pub(super) fn begin_anew(&mut self) {
+        self.region.begin_anew();
+        if let Some(jaws) = &mut self.jaws {
+            jaws.region.begin_anew();
+        }
     }
 
     /// How much of a place of the mouth's rectangle is drawn, 0..=1; the edges of a turned head are not looked at.
@@ -129,12 +134,13 @@ impl Portrait {
     }
 
     /// The mouth of a picture, at the recording's sharpness.
-    fn mouth(&mut self, space: &MouthSpace, shown: &Shown) -> Vec<f32> {
+    fn mouth(&self, space: &MouthSpace, shown: &Shown) -> Vec<f32> {
         let mut image = self.mouths.draw(space, shown.weights, shown.detail.as_deref());
         if self.noise > 0.0 {
+            let mut random = of_picture(shown.number);
             // A camera's noise is in grey more than in colour.
             for pixel in image.chunks_exact_mut(3) {
-                let grain = self.noise * normal(&mut self.random);
+                let grain = self.noise * normal(&mut random);
                 pixel.iter_mut().for_each(|level| *level += grain);
             }
         }

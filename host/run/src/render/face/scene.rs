@@ -146,6 +146,7 @@ impl<'a> FaceScene<'a> {
     fn shown<'t>(&self, n: usize, weights: ArrayView1<'t, f32>) -> Shown<'t> {
         let candidates = self.portrait.mouths.candidates();
         Shown {
+            number: n,
             weights,
             moment: self.course().at(middle(n, self.fps)),
             detail: self
@@ -166,7 +167,15 @@ impl Scene for FaceScene<'_> {
         self.space.size()
     }
 
+    fn pass_over(&mut self, pictures: usize) {
+        self.drawn += pictures;
+    }
+
     fn draw(&mut self, parameters: ArrayView1<f32>) -> Result<Vec<u8>> {
+        if self.drawn.is_multiple_of(self.fps as usize) {
+            // Seconds know nothing of each other, so that a film can be gone on with behind any of them.
+            self.portrait.begin_anew();
+        }
         let shown = self.shown(self.drawn, parameters);
         let rgb = self.portrait.draw(self.footage, self.space, &shown)?;
         self.drawn += 1;
