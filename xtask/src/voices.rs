@@ -1,10 +1,12 @@
 //! A corpus of synthetic speech with exact phone times: several voices of `flite` say words in any order, slowly and fast.
 //!
 //!     cargo xtask voices FOLDER [COUNT]
+//!     cargo xtask voices FOLDER TEXT
 //!
 //! Each of flite's built-in voices gets a folder, the training speakers of `lipstream prepare FOLDER --audio-only --all-train`; COUNT utterances (180) each, as
 //! `.wav` with an HTK `.lab` beside it. Words are drawn from the sentences of `lipstream prompts`, which hold every phone of English, so that no grammar
-//! can be learnt; the same COUNT gives the same words. `flite` is Debian's package of that name.
+//! can be learnt; the same COUNT gives the same words. With a TEXT file its lines are said as they are, one after another: other words for a test.
+//! `flite` is Debian's package of that name.
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -23,38 +25,53 @@ const WORDS: std::ops::RangeInclusive<usize> = 5..=12;
 const STRETCH: std::ops::Range<f32> = 0.75..1.2;
 
 pub(crate) fn run(words: &[String]) -> Result<()> {
-    let (folder, count) = match words {
-        [folder] => (folder, 180),
-        [folder, count] => (
+    let (folder, said) = match words {
+        [folder] => (folder, drawn(180)),
+        [folder, count] if count.chars().all(|c| c.is_ascii_digit()) => (
             folder,
-            count.parse().with_context(|| format!("{count:?} is no number"))?,
+            drawn(count.parse().with_context(|| format!("{count} is too much"))?),
         ),
-        _ => bail!("write FOLDER [COUNT]"),
+        [folder, text] => {
+            let lines = std::fs::read_to_string(text).with_context(|| format!("cannot read {text}"))?;
+            let lines: Vec<String> = lines.lines().map(str::to_owned).collect();
+            (folder, Box::new(move |_: &mut Pcg64| lines.clone()) as Said)
+        }
+        _ => bail!("write FOLDER [COUNT], or FOLDER TEXT"),
     };
+    let mut rng = Pcg64::seed_from_u64(1);
+    for voice in VOICES {
+        let to = PathBuf::from(folder).join(voice);
+        std::fs::create_dir_all(&to).with_context(|| format!("cannot make {}", to.display()))?;
+        let lines = said(&mut rng);
+        for (n, line) in lines.iter().enumerate() {
+            let stem = to.join(format!("{voice}-{n:04}"));
+            say(&stem, voice, line, rng.random_range(STRETCH))?;
+        }
+        eprintln!("{} utterances of {voice}", lines.len());
+    }
+    Ok(())
+}
+
+/// What a voice is to say.
+type Said = Box<dyn Fn(&mut Pcg64) -> Vec<String>>;
+
+/// So many lines of words in any order.
+fn drawn(count: usize) -> Said {
     let pool: Vec<String> = PROMPTS
         .iter()
         .flat_map(|sentence| sentence.split_whitespace())
         .map(|word| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase())
         .collect();
-    let mut rng = Pcg64::seed_from_u64(1);
-    for voice in VOICES {
-        let to = PathBuf::from(folder).join(voice);
-        std::fs::create_dir_all(&to).with_context(|| format!("cannot make {}", to.display()))?;
-        for n in 0..count {
+    Box::new(move |rng| {
+        let line = |rng: &mut Pcg64| {
             let length = rng.random_range(WORDS);
-            let said: Vec<&str> = (0..length)
-                .filter_map(|_| pool.choose(&mut rng).map(String::as_str))
+            let words: Vec<&str> = (0..length)
+                .filter_map(|_| pool.choose(rng).map(String::as_str))
                 .collect();
-            say(
-                &to.join(format!("{voice}-{n:04}")),
-                voice,
-                &said.join(" "),
-                rng.random_range(STRETCH),
-            )?;
-        }
-        eprintln!("{count} utterances of {voice}");
-    }
-    Ok(())
+            words.join(" ")
+        };
+        (0..count).map(|_| line(rng)).collect()
+    })
 }
 
 /// Writes `STEM.wav` and `STEM.lab`.

@@ -487,14 +487,32 @@ fn by_command() {
             .contains(&said)
     );
 
+    // The shipped model, whatever it makes of tones: every clip is counted, or those of one split.
+    let counted = |split: &[&str]| -> serde_json::Value {
+        let voices = path("voices.json");
+        let asked = ["evaluate", &features, "--voices", "-o", &voices];
+        run(&[&asked, split].concat()).unwrap();
+        serde_json::from_str(&std::fs::read_to_string(voices).unwrap()).unwrap()
+    };
+    let all = counted(&[]);
+    assert_eq!(all["voices"][0]["speaker"], "drawn");
+    assert_eq!(all["voices"][0]["counts"]["clips"], 18);
+    let some = counted(&["--split", "test"]);
+    assert_eq!(some["voices"][0]["counts"]["clips"], 5);
+    let bilabials = |of: &serde_json::Value| of["voices"][0]["counts"]["bilabials"].as_u64().unwrap();
+    assert!(bilabials(&some) >= 5 && bilabials(&all) > 3 * bilabials(&some));
+
     let (pdf, nowhere) = (path("r.pdf"), format!("x={}", path("nowhere")));
     let tables = path("mouth.tables");
     std::fs::write(&tables, lipstream::shipped::TABLES).unwrap();
-    let strange: [&[&str]; 3] = [
+    let strange: [&[&str]; 6] = [
         // No videos; a form of report that there is not; tables, which have no mouth.
         &["evaluate", &said, "--strangers"],
         &["evaluate", &said, "--strangers", "-o", &pdf],
         &["evaluate", &said, "--strangers", "-m", &tables],
+        &["evaluate", &said, "--voices"],
+        &["evaluate", &features, "--voices", "-o", &pdf],
+        &["evaluate", &features, "--voices", "-m", &tables],
     ];
     let wrong: [&[&str]; 8] = [
         &["evaluate", &features, "-o", &pdf],

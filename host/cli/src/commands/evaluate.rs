@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use super::{choices, evaluate_strangers};
+use super::{choices, evaluate_mouth};
 use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
@@ -25,6 +25,10 @@ pub(crate) struct Args {
     /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
     #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
     strangers: bool,
+    /// Measure how well the model [default: the shipped one] follows every speaker of the feature folder DIR, which needs no video: whether lips close at p, b, m
+    /// and nowhere else, and whether visemes are the labels'. All clips, unless --split is given
+    #[arg(long, conflicts_with_all = ["strangers", "systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    voices: bool,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
     model: Option<PathBuf>,
@@ -40,9 +44,9 @@ pub(crate) struct Args {
     /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
     #[arg(long, value_name = "NAME=FOLDER")]
     predictions: Vec<String>,
-    /// Clips to measure on
-    #[arg(long, default_value = "test")]
-    split: choices::Split,
+    /// Clips to measure on [default: test]
+    #[arg(long)]
+    split: Option<choices::Split>,
     /// Report to write: a folder (page, tables and JSON, with noise and cold starts), or a .md, .html or .json file
     #[arg(short, long, value_name = "REPORT")]
     output: Option<PathBuf>,
@@ -87,13 +91,17 @@ fn short(path: &Path) -> String {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    if args.strangers {
-        return evaluate_strangers::run(
-            &args.dir,
-            args.model.as_deref(),
-            args.output.as_deref(),
-            args.json,
-        );
+    if args.strangers || args.voices {
+        let asked = evaluate_mouth::Asked {
+            path: &args.dir,
+            model: args.model.as_deref(),
+            output: args.output.as_deref(),
+            as_json: args.json,
+        };
+        return match args.voices {
+            true => evaluate_mouth::voices(&asked, args.split.map(Into::into)),
+            false => evaluate_mouth::strangers(&asked),
+        };
     }
     let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
@@ -151,7 +159,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
     for given in &args.predictions {
         candidates.push(predictions(given)?);
     }
-    let report = evaluate::measure(&folder, args.split.into(), &candidates, &settings, &progress)?;
+    let report = evaluate::measure(
+        &folder,
+        args.split.unwrap_or(choices::Split::Test).into(),
+        &candidates,
+        &settings,
+        &progress,
+    )?;
     if args.json {
         print!("{}", evaluate::json(&report)?);
     } else {

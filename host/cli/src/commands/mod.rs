@@ -12,7 +12,7 @@ mod convert;
 mod cues;
 mod demo;
 mod evaluate;
-mod evaluate_strangers;
+mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;

@@ -239,7 +239,7 @@ fn fit(pairs: &[(Array2<f32>, Vec<f32>)]) -> Result<(Array1<f32>, f32)> {
 }
 
 /// Frames within [`MARGIN_S`] of each p, b, m.
-fn bilabials(clip: &Clip) -> Vec<std::ops::Range<usize>> {
+pub(super) fn bilabials(clip: &Clip) -> Vec<std::ops::Range<usize>> {
     let viseme = Phone::from_name("p").map(Phone::viseme);
     data::timed_phones(clip)
         .iter()

@@ -17,6 +17,7 @@ pub mod ridge;
 pub mod strangers;
 pub mod systems;
 pub mod tables;
+pub mod voices;
 mod write;
 
 use ndarray::Array2;
