@@ -12,6 +12,7 @@ use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group};
 use lipstream::kinds::recurrent::settle::settle;
 use lipstream::kinds::recurrent::step::Net;
+use lipstream::phones::Phone;
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::kinds::Convert;
 use lipstream_core::kinds::recurrent::Converter;
@@ -21,6 +22,7 @@ use lipstream_make::evaluate::metrics::Score;
 use lipstream_make::mge::adapt;
 use lipstream_make::mge::data::{Clip, Data};
 use lipstream_make::mge::judge::{centred, judge};
+use lipstream_make::mge::lips::Gap;
 use lipstream_make::mge::pass::{Masks, Tape};
 use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::store::Store;
@@ -222,6 +224,12 @@ fn a_new_mouth_is_learnt_for_the_old_ears() {
     );
 }
 
+/// Somebody else says it, whose vowels lie elsewhere: cepstra are mixed with their neighbours.
+fn sound_otherwise(clip: &mut Clip) {
+    let x = clip.x.clone();
+    clip.x = Array2::from_shape_fn(x.dim(), |(t, d)| 0.5 * x[[t, d]] - 0.8 * x[[t, (d + 1) % 13]]);
+}
+
 /// Others sound otherwise; of their mouths the gap alone is known, each on a scale of its own. Learning from them must not cost the person's own mouth.
 #[test]
 fn the_lips_of_others_are_learnt_from() {
@@ -233,9 +241,7 @@ fn the_lips_of_others_are_learnt_from() {
         let mut rng = Pcg64::seed_from_u64(seed);
         let mut all = clips(&parent, 12, true, &mut rng);
         for (n, clip) in all.iter_mut().enumerate() {
-            // Their vowels lie elsewhere: cepstra are mixed with their neighbours.
-            let x = clip.x.clone();
-            clip.x = Array2::from_shape_fn(x.dim(), |(t, d)| 0.5 * x[[t, d]] - 0.8 * x[[t, (d + 1) % 13]]);
+            sound_otherwise(clip);
             let truth = gap_of(clip.mouth.as_ref().unwrap()) * (1.0 + n as f32 / 6.0);
             let (mean, deviation) = (truth.mean().unwrap(), truth.std(0.0));
             clip.mouth = Some(((truth - mean) / deviation).insert_axis(Axis(1)));
@@ -245,7 +251,7 @@ fn the_lips_of_others_are_learnt_from() {
     };
     let with = Data {
         watched: stored(others(51)),
-        gap: Some(gap.to_vec()),
+        gap: Some(Gap::new(gap.to_vec(), 0.0, &parent.phones)),
         ..data(&parent)
     };
     let settings = MgeTrainSettings {
@@ -285,6 +291,52 @@ fn the_lips_of_others_are_learnt_from() {
     );
     assert!(after > 0.8 && after > before + 0.05, "{before} {after}");
     assert!(own_acc(&watching) > own_acc(&alone) - 0.1);
+}
+
+/// One phone asks for lips that are closer than the person's ever are: they are where others are heard.
+#[test]
+fn lips_meet_where_they_are_asked_to() {
+    let parent = parent();
+    // By their places in the model, whatever it calls them.
+    let named = |n: usize| Phone::from_name(if n == 2 { "p" } else { "sil" }).unwrap();
+    let phones: Vec<Phone> = (0..parent.phones.len()).map(named).collect();
+    let slopes = vec![0.6, -0.4, 0.2, 0.0, 0.1];
+    let heard = |seed: u64| -> Vec<Clip> {
+        let mut all = clips(&parent, 12, false, &mut Pcg64::seed_from_u64(seed));
+        all.iter_mut().for_each(sound_otherwise);
+        all
+    };
+    let wrong = |gap: &Gap, model: &RecurrentModel| -> f32 {
+        let (mut sum, mut count) = (0.0, 0.0f32);
+        for clip in heard(52) {
+            let said = live::convert(model, (&clip.x / 0.5).view()).parameters;
+            let said = said / ArrayView1::from(&model.deviation);
+            for wrong in gap.wrong(said.view(), None, &clip.states) {
+                sum += wrong;
+                count += f32::from(u8::from(wrong != 0.0));
+            }
+        }
+        sum / count.max(1.0)
+    };
+    let settings = |closure_error| MgeTrainSettings {
+        passes: 20,
+        closure_error,
+        ..small()
+    };
+    // Closed is where the phone's mouths lie, less a deviation.
+    let open = Gap::new(slopes.clone(), 0.0, &phones);
+    let with = |gap| Data {
+        heard: stored(heard(51)),
+        gap,
+        ..data(&parent)
+    };
+    let alone = quietly(&with(None), &parent, &settings(0.0), None);
+    let gap = Gap::new(slopes, wrong(&open, &alone) - 1.0, &phones);
+    let asked = with(Some(gap.clone()));
+    let asked = quietly(&asked, &parent, &settings(3.0), None);
+    let (before, after) = (wrong(&gap, &alone), wrong(&gap, &asked));
+    println!("too far apart: {before:.3} before, {after:.3} after");
+    assert!(before > 0.5 && after < 0.5 * before, "{before} {after}");
 }
 
 #[test]

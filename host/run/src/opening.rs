@@ -114,6 +114,11 @@ impl OpeningReader {
         }
     }
 
+    /// The gap of the mean mouth, whose parameters are 0; lips are closed at 0.
+    pub fn gap_offset(&self) -> f32 {
+        self.gap.offset
+    }
+
     /// By how much the gap changes with each parameter `[D]`, in its unit a real unit.
     pub fn gap_slopes(&self) -> &Array1<f32> {
         &self.gap.slopes

@@ -82,6 +82,9 @@ pub(crate) struct Args {
     /// Weight of the error towards the mouth that the phones of --audio's clips ask for, as learnt from the clips with video; 0: they teach hearing only
     #[arg(long, default_value_t = MgeTrainSettings::default().taught_error)]
     taught_error: f32,
+    /// Weight of lips that do not meet at p, b and m, or meet elsewhere, in all clips whose phones are known
+    #[arg(long, default_value_t = MgeTrainSettings::default().closure_error)]
+    closure_error: f32,
     /// Weight of the lip gap's error in --watched
     #[arg(long, default_value_t = MgeTrainSettings::default().lip_error)]
     lip_error: f32,
@@ -124,6 +127,7 @@ impl Args {
             disturbed: self.disturbed,
             other_voices: self.other_voices,
             taught_error: self.taught_error,
+            closure_error: self.closure_error,
             lip_error: self.lip_error,
             look_aheads: self.look_aheads.clone(),
             error_power: self.error_power,

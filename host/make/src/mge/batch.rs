@@ -232,6 +232,15 @@ impl Trainer<'_> {
             .mouth
             .as_ref()
             .map(|mouth| piece.cut(&mouth.slice(s![first..first + length, ..]), piece.frames));
+        if let (Some(gap), Of::Person | Of::Heard) = (&self.data.gap, piece.of) {
+            let filmed = mouth.as_ref().filter(|_| piece.of == Of::Person);
+            let wrong = gap.wrong(tape.output.view(), filmed.map(|mouth| mouth.view()), &targets);
+            for (t, e) in wrong.iter().enumerate() {
+                error += f64::from(settings.closure_error * e * e);
+                let pull = 2.0 * settings.closure_error * e / n;
+                g_output.row_mut(t).scaled_add(pull, &gap.slopes());
+            }
+        }
         match (mouth, piece.of, &self.data.gap) {
             (Some(mouth), Of::Person | Of::Heard, _) => {
                 let share = match piece.of {
@@ -243,12 +252,12 @@ impl Trainer<'_> {
                         let w = share * w;
                         let e = tape.output[[t, d]] - mouth[[t, d]];
                         error += f64::from(w * e * e);
-                        g_output[[t, d]] = 2.0 * w * e / n;
+                        g_output[[t, d]] += 2.0 * w * e / n;
                     }
                 }
             }
             (Some(mouth), Of::Watched, Some(gap)) => {
-                let gap = ArrayView1::from(gap);
+                let gap = gap.slopes();
                 let wrong = gap_error(tape.output.dot(&gap).view(), mouth.column(0));
                 for (t, e) in wrong.iter().enumerate() {
                     error += f64::from(settings.lip_error * e * e);

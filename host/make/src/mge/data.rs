@@ -5,6 +5,7 @@ use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis, s};
 
 use super::disturb::{Disturbance, Variant};
+use super::lips::Gap;
 use super::settings::MgeTrainSettings;
 use super::store::Store;
 use super::teach::Teacher;
@@ -16,7 +17,6 @@ use crate::noise;
 use crate::train::data::{Clips, Observed};
 use lipstream::hmm::topology::Topology;
 use lipstream::kinds::likelihood::Model;
-use lipstream::opening::OpeningReader;
 use lipstream::progress::Progress;
 use lipstream::reference::{self, normalise};
 use lipstream_media::sound;
@@ -44,8 +44,8 @@ pub struct Data {
     pub heard: Store,
     /// Clips of other people, of whom the lip gap alone is known: a mouth of one number, standardised in each clip.
     pub watched: Store,
-    /// What the lip gap is in standardised mouth parameters `[D]`, in deviations of the training clips' own; None where nobody is watched.
-    pub gap: Option<Vec<f32>>,
+    /// What the lip gap is; None where nobody is watched and nothing is asked of it.
+    pub gap: Option<Gap>,
     /// Clips that choose the pass whose parameters are kept; may be none.
     pub validation: Store,
     /// One over the deviation of each static.
@@ -201,8 +201,8 @@ fn read_with(
         reader.watch(other, &clips, &mut data.watched)?;
     }
     reader.read(folder, &validation, 0, None, &mut data.validation)?;
-    if !data.watched.is_empty() {
-        data.gap = Some(gap_of(parent, &data)?);
+    if !data.watched.is_empty() || settings.closure_error > 0.0 {
+        data.gap = Some(Gap::learn(parent, &data.train, &deviation)?);
     }
     Ok(data)
 }
@@ -214,30 +214,6 @@ pub struct Beside {
     pub heard: Vec<FeatureFolder>,
     /// Whose lips are watched while they speak, whatever they say (`prepare --lips`).
     pub watched: Vec<FeatureFolder>,
-}
-
-/// The lip gap as a line in standardised parameters, of deviation 1 over the training clips.
-fn gap_of(parent: &Model, data: &Data) -> Result<Vec<f32>> {
-    let Some(reader) = parent.mouth.as_ref().and_then(OpeningReader::of) else {
-        bail!(
-            Data,
-            "the lips of this mouth cannot be read off its eigenmouths: nothing can be learnt from other people's"
-        )
-    };
-    let slopes = reader.gap_slopes() * &ArrayView1::from(&data.deviation);
-    let mut gaps = Deviations::default();
-    in_order(
-        data.train.len(),
-        |n| data.train.get(n),
-        |clip| {
-            if let Some(mouth) = &clip.mouth {
-                gaps.add(mouth.dot(&slopes).insert_axis(Axis(1)).view());
-            }
-            Ok(())
-        },
-    )?;
-    let deviation = gaps.deviations().next().unwrap_or(1.0);
-    Ok((slopes / deviation).to_vec())
 }
 
 /// Leaves in `train` the clips to train on, and returns those that are held out.
@@ -399,14 +375,14 @@ const VOICES: usize = 60;
 
 /// Sums for the standard deviation of each column.
 #[derive(Default)]
-struct Deviations {
+pub(super) struct Deviations {
     n: f64,
     /// Sum and sum of squares.
     columns: Vec<(f64, f64)>,
 }
 
 impl Deviations {
-    fn add(&mut self, rows: ArrayView2<f32>) {
+    pub(super) fn add(&mut self, rows: ArrayView2<f32>) {
         self.n += rows.nrows() as f64;
         self.columns.resize(rows.ncols(), (0.0, 0.0));
         for row in rows.outer_iter() {
@@ -418,7 +394,7 @@ impl Deviations {
     }
 
     /// Never 0.
-    fn deviations(&self) -> impl Iterator<Item = f32> {
+    pub(super) fn deviations(&self) -> impl Iterator<Item = f32> {
         let n = self.n.max(1.0);
         self.columns.iter().map(move |(sum, square)| {
             let mean = sum / n;

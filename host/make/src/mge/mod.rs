@@ -10,6 +10,7 @@ pub mod disturb;
 #[cfg(test)]
 mod gradient_tests;
 pub mod judge;
+pub mod lips;
 pub mod optimise;
 pub mod pass;
 mod reverse;

@@ -55,6 +55,8 @@ pub struct MgeTrainSettings {
     pub other_voices: f32,
     /// κ_t: weight of the error towards what the phones of clips without video say of their mouth ([`teach`](super::teach)), per frame; 0: they say nothing.
     pub taught_error: f32,
+    /// κ_c: weight of lips that do not meet at p, b and m, or meet elsewhere, per frame, with video and without; 0: nothing is asked of them.
+    pub closure_error: f32,
     /// κ_l: weight of the lip gap's error in videos of other people, per frame.
     pub lip_error: f32,
     /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
@@ -99,6 +101,7 @@ impl Default for MgeTrainSettings {
             disturbed: 0.3,
             other_voices: 0.0,
             taught_error: 0.0,
+            closure_error: 0.0,
             lip_error: 0.3,
             look_aheads: vec![3, 6, 8],
             error_power: 1.0,
@@ -148,6 +151,7 @@ impl MgeTrainSettings {
         let positive = [
             self.lip_error,
             self.taught_error,
+            self.closure_error,
             self.audio_entropy,
             self.visual_entropy,
             self.heard_entropy,

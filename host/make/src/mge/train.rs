@@ -4,10 +4,11 @@
 //! ```text
 //! E = 1/T Σ_t Σ_d w_d e²_td − κ_a/T Σ ln γᵃ_t(a_t) − κ_v/T Σ ln γᵛ_t(v_t)
 //!     − κ_h/T_h Σ_heard ln γᵃ_t(a_t) + κ_t/T_h Σ_heard Σ_d w_d (y − what its phones say)²_td
-//!     + κ_l/T_l Σ_watched (g_t − ĝ_t − mean)²   (M10)
+//!     + κ_l/T_l Σ_watched (g_t − ĝ_t − mean)² + κ_c Σ c²_t/(T or T_h)   (M10)
 //! ```
 //! over the T frames of its clips with video, the T_h frames of those without, and the T_l frames of other people of whom the lip gap g alone is known;
-//! ĝ is what is read off the mouth, in deviations, and the mean over the piece is taken off, since everybody's mouth has its own. Random numbers depend on the seed, the
+//! ĝ is what is read off the mouth, in deviations, and the mean over the piece is taken off, since everybody's mouth has its own; c is how far ĝ is on the wrong side of closed
+//! lips, where the phone a_t says which side that is (`lips.rs`). Random numbers depend on the seed, the
 //! step and the clip's place only, and sums are taken in the order of the clips: neither threads nor interruptions
 //! change the result.
 use std::path::Path;
