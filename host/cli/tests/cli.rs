@@ -50,9 +50,13 @@ fn every_command_explains_itself() {
         .filter(|name| *name != "help")
         .collect();
     assert_eq!(listed, COMMANDS, "COMMANDS is not what the program offers");
-    assert_eq!(
-        succeed(&folder, &["--version"]).trim(),
-        concat!("lipstream ", env!("CARGO_PKG_VERSION"))
+    let short = concat!("lipstream ", env!("CARGO_PKG_VERSION"));
+    assert_eq!(succeed(&folder, &["-V"]).trim(), short);
+    // On what terms program and model are to be had.
+    let long = succeed(&folder, &["--version"]);
+    assert!(
+        long.starts_with(short) && long.contains("MIT") && long.contains("no commercial use"),
+        "{long}"
     );
 }
 

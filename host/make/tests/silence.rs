@@ -130,6 +130,7 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
     println!(
         "where the mouth is from 200 ms on: widest gap as a share of what counts as open, motion as a share of speech's, unsettled"
     );
+    let mut wrong = Vec::new();
     for (name, sound, share) in no_speech(rng) {
         for before in [&speech[..], &[]] {
             let mouth = watch(&[before, &sound].concat());
@@ -151,14 +152,18 @@ fn the_mouth_stays_closed_where_nobody_speaks() {
                 widest / mouth.closed_below,
                 mean(&unsettled[from..]) / talking
             );
-            assert!(
-                widest < mouth.closed_below,
-                "{name} {when}: a gap of {widest} px, closed is below {}",
-                mouth.closed_below
-            );
-            assert!(moved < share, "{name} {when}: {moved} of the motion in speech");
+            if widest >= mouth.closed_below {
+                wrong.push(format!(
+                    "{name} {when}: a gap of {widest} px, closed is below {}",
+                    mouth.closed_below
+                ));
+            }
+            if moved >= share {
+                wrong.push(format!("{name} {when}: {moved} of the motion in speech"));
+            }
         }
     }
+    assert!(wrong.is_empty(), "{}", wrong.join("; "));
 }
 
 /// Ten minutes of noise whose level jumps: a frame each 10 ms to the end, and a stream that is as new after `reset`.

@@ -4,5 +4,11 @@
 pub const SOUND: &[u8] = include_bytes!("../shipped/hello.wav");
 /// The shipped model, see models/README.md: what is drawn with, and what converts.
 pub const MODEL: &[u8] = include_bytes!("../shipped/grid-s1.safetensors");
+/// What `lipstream --version` says: the version, and on what terms program and shipped model are to be had (models/README.md says more).
+pub const VERSION: &str = concat!(
+    env!("CARGO_PKG_VERSION"),
+    "\nprogram: MIT or Apache-2.0\n",
+    "shipped model: no commercial use (CC BY-NC-SA, for it has heard TIMIT; its mouth is talker 1 of the GRID corpus, CC BY 4.0); see models/README.md"
+);
 /// The shipped model's tables for the device.
 pub const TABLES: &[u8] = include_bytes!("../shipped/grid-s1.tables");

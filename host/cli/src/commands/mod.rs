@@ -30,7 +30,7 @@ mod view;
 
 /// Speech in, a talking mouth out.
 #[derive(Debug, Parser)]
-#[command(name = "lipstream", version, about)]
+#[command(name = "lipstream", version, long_version = lipstream::shipped::VERSION, about)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
