@@ -287,6 +287,50 @@ fn switches_of_one_kind_of_model() {
     assert!(!folder.join("refused.npy").exists());
 }
 
+/// Every way to find the mouth says something else; each is there in floats only, for likelihood-trained models only.
+#[test]
+fn the_mouth_is_found_in_four_ways() {
+    let folder = common::folder("cli-mouth-by");
+    let hello = hello();
+    let shipped = path(&common::root().join("models/grid-s1.safetensors"));
+    common::synthetic_model()
+        .write(&folder.join("likely.safetensors"))
+        .unwrap();
+    let words = ["convert", &hello, "-m", "likely.safetensors", "-o", "out.npy"];
+    let ways = ["means", "posterior", "viterbi", "local-linear"];
+    let said = ways.map(|way| {
+        let more = ["--engine", "float", "--mouth-by", way];
+        succeed(&folder, &[&words[..], &more].concat());
+        let out: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.join("out.npy")).unwrap();
+        out
+    });
+    for (n, one) in said.iter().enumerate() {
+        assert_eq!(one.dim(), said[0].dim());
+        for (way, other) in ways.iter().zip(&said).take(n) {
+            assert_ne!(one, other, "{way} says what {} says", ways[n]);
+        }
+    }
+    for (model, more) in [
+        ("likely.safetensors", &[][..]),
+        (&shipped, &[]),
+        (&shipped, &["--engine", "float"]),
+    ] {
+        let words = [
+            "convert",
+            &hello,
+            "-m",
+            model,
+            "-o",
+            "no.npy",
+            "--mouth-by",
+            "means",
+        ];
+        let error = refuse(&folder, &[&words[..], more].concat());
+        assert!(error.contains("likelihood-trained model in floats"), "{error}");
+    }
+    assert!(!folder.join("no.npy").exists());
+}
+
 /// The shipped tables are the shipped model's.
 #[test]
 fn shipped_tables_are_up_to_date() {

@@ -356,6 +356,48 @@ fn conversion_by_means_is_the_em_of_all_paths_and_never_less_likely() {
     }
 }
 
+/// What the mouth is on average over all paths, given the sound: each component by its weight, or by its share in the sound
+/// where densities are joint.
+#[test]
+fn the_posterior_mean_is_the_mean_over_all_paths() {
+    for (n, system) in hmms().enumerate() {
+        let tiny = Tiny::new(system, 30 + n as u64);
+        let (sound, unseen) = observations(70 + n as u64);
+        let with = EmSettings {
+            acoustic_scale: 0.6,
+            visual_exponent: 0.0,
+            iterations: 0,
+            m_step: MStep::Exact,
+        };
+        // Without exponent the occupancies of states do not depend on the mouth, nor do a joint density's components.
+        let (_, gamma) = inverted(&tiny, &sound, &unseen, &with);
+        let (said, _) = Inverter::new(tiny.hmm())
+            .posterior_mean(&sound, with.acoustic_scale, convert::Lag::Whole)
+            .unwrap();
+        for t in 0..FRAMES {
+            for i in 0..2 {
+                let mut want = 0.0;
+                for ((v, k), g) in gamma.index_axis(ndarray::Axis(0), t).indexed_iter() {
+                    let share = match system.density {
+                        Density::Joint => *g,
+                        Density::Streams => {
+                            let state: f64 = gamma.slice(ndarray::s![t, v, ..]).sum();
+                            state * f64::from(tiny.visual.log_weight[[v, k]]).exp()
+                        }
+                    };
+                    want += share * f64::from(tiny.visual.mean[[v, k, i]]);
+                }
+                let have = f64::from(said[[t, i]]);
+                assert!(
+                    (have - want).abs() < 1e-3,
+                    "{}: {have} against {want}",
+                    system.name
+                );
+            }
+        }
+    }
+}
+
 /// With a window as long as the utterance and no exponent on the mouth, the last sweep is one EM step over all paths, from what
 /// the sweeps before it and the last frame's sound have left.
 #[test]

@@ -135,7 +135,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             Speech::LocalLinear => models::of_model(&folder, model, args.beam)?,
             // The device does not speak by means; a system that is measured anyway stands there once.
             _ if chosen.contains(&model.system) => Vec::new(),
-            _ => systems::candidates(&[model.system], std::slice::from_ref(model))?,
+            _ => systems::candidates(&systems::by_means(model.system), std::slice::from_ref(model))?,
         });
     }
     if let Some(trained) = &trained {

@@ -35,6 +35,15 @@ pub fn parse(names: &str) -> Result<Vec<System>> {
         .collect()
 }
 
+/// A system that iterates, and beside it the posterior mean of the same HMM; another system alone.
+pub fn by_means(system: System) -> Vec<System> {
+    let posterior = SYSTEMS
+        .into_iter()
+        .find(|s| s.speech == Speech::Posterior && s.hmm() == system.hmm());
+    let beside = posterior.filter(|_| system.speech == Speech::Means);
+    std::iter::once(system).chain(beside).collect()
+}
+
 /// The models of `systems`, one for each HMM: read from `store` where they are, else trained and written there, so that
 /// work that was interrupted goes on with the next one.
 pub fn open_or_train(
@@ -117,6 +126,18 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
                 Ok(Prediction {
                     parameters: smooth(&said),
                     visemes: None,
+                })
+            })
+        }
+        Speech::Posterior => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            Candidate::new(system.name, None, move |heard: &Heard| {
+                let (said, occupancy) = inverter
+                    .posterior_mean(&heard.observations, model.posterior_scale, Lag::Whole)
+                    .map_err(Error::other)?;
+                Ok(Prediction {
+                    parameters: smooth(&said),
+                    visemes: Some(viseme_weights(model, &occupancy)),
                 })
             })
         }

@@ -223,11 +223,6 @@ fn grow(
     }
 }
 
-/// Splits the audio components of an audio HMM once more.
-pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
-    parameters.audio = density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, None);
-}
-
 /// A stage of EM passes; returns the sums of the last one. What an interrupted run has kept is taken up.
 pub(super) fn passes(
     parameters: &mut Parameters,

@@ -105,6 +105,39 @@ pub(crate) fn maps(
     Ok((following, context, maps))
 }
 
+/// The acoustic scale with the smallest error of the posterior mean on the `judges`.
+pub(super) fn posterior(
+    hmm: &Hmm,
+    judges: &impl Source,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
+) -> Result<f32> {
+    let inverter = Inverter::new(*hmm);
+    let mut best = None;
+    for &scale in &settings.acoustic_scales {
+        let mut score = Score::new(hmm.visual.mean.dim().2);
+        let said = |n: usize| {
+            let u = judges.get(n)?;
+            let said = inverter.posterior_mean(&u.audio, scale, Lag::Whole);
+            Ok((visual(&u)?.clone(), smooth(&said.map_err(Error::other)?.0)))
+        };
+        in_order(judges.len(), said, |(truth, said)| {
+            score.add(&truth, &said);
+            Ok(())
+        })?;
+        progress.say(&format!(
+            "  posterior mean: acoustic scale {scale}: AMSE {:.2}, ACC {:.4}",
+            score.amse(),
+            score.acc()
+        ));
+        if best.is_none_or(|(amse, _)| score.amse() < amse) {
+            best = Some((score.amse(), scale));
+        }
+    }
+    best.map(|(_, scale)| scale)
+        .ok_or_else(|| Error::Choice("no acoustic scale to choose from".into()))
+}
+
 /// Visual exponents that the validation clips choose from, after the acoustic scale was chosen at the first.
 const VISUAL_EXPONENTS: [f32; 5] = [0.0, 0.01, 0.03, 0.1, 1.0];
 /// EM iterations that they choose from: up to this many.

@@ -124,7 +124,7 @@ pub fn train(
         true => parameters.audio,
         false => {
             let speakers = audio::all_speakers(aligned, &train, &heard)?;
-            audio::retrain(&parameters, &seen, system.density, speakers, settings, progress)?
+            audio::retrain(&parameters, &seen, speakers, settings, progress)?
         }
     };
     let provenance = format!(
@@ -233,6 +233,7 @@ impl Trained {
         };
         let (following, context, maps) = maps::maps(&hmm, train, judges, settings, progress)?;
         let conversion = maps::conversion(&hmm, judges, settings, progress)?;
+        let posterior_scale = maps::posterior(&hmm, judges, settings, progress)?;
         let mouth = match folder.mouth_path() {
             path if path.exists() => {
                 Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
@@ -252,6 +253,7 @@ impl Trained {
             maps,
             following,
             conversion,
+            posterior_scale,
             mouth,
             provenance: self.provenance,
         })

@@ -15,6 +15,8 @@ pub enum Density {
 pub enum Speech {
     /// EM re-estimation of the mouth from the components' means (X&L section 4; HMMI where densities are joint).
     Means,
+    /// The mean of the mouth given the sound: the components' means, each by its probability.
+    Posterior,
     /// The mean of the one state that the best path is in.
     Viterbi,
     /// Local linear maps chosen by the visual states' occupancies (`docs/design.md` section 6).
@@ -43,8 +45,8 @@ const fn of(name: &'static str, topology: Topology, density: Density, speech: Sp
     }
 }
 
-/// Every system that can be trained, the paper's six first.
-pub const SYSTEMS: [System; 10] = [
+/// Every system that can be trained: the paper's six first, those that speak otherwise from the same HMMs after them.
+pub const SYSTEMS: [System; 16] = [
     of("ph-hmm", Topology::PH_HMM, Density::Joint, Speech::Means),
     of("ph-mshmm", Topology::PH_HMM, Density::Streams, Speech::Means),
     of("ph-fhmm", Topology::PH_FHMM, Density::Streams, Speech::Means),
@@ -62,6 +64,42 @@ pub const SYSTEMS: [System; 10] = [
         Speech::Means,
     ),
     of("viterbi", Topology::PH_HMM, Density::Joint, Speech::Viterbi),
+    of(
+        "posterior-ph-hmm",
+        Topology::PH_HMM,
+        Density::Joint,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-mshmm",
+        Topology::PH_HMM,
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-fhmm",
+        Topology::PH_FHMM,
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-vi-fhmm",
+        Topology::PH_VI_FHMM,
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-chmm",
+        Topology::PH_CHMM,
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-vi-chmm",
+        Topology::PH_VI_CHMM,
+        Density::Streams,
+        Speech::Posterior,
+    ),
     of(
         "local-linear",
         Topology::PH_VI_CHMM,
@@ -86,11 +124,21 @@ impl System {
     /// X&L's own system.
     pub const PH_VI_CHMM: System = SYSTEMS[5];
     /// The coupled HMM with local linear maps, which the device runs.
-    pub const LOCAL_LINEAR: System = SYSTEMS[7];
+    pub const LOCAL_LINEAR: System = of(
+        "local-linear",
+        Topology::PH_VI_CHMM,
+        Density::Streams,
+        Speech::LocalLinear,
+    );
 
     /// The system of this name; none if there is no such system.
     pub fn from_name(name: &str) -> Option<Self> {
         SYSTEMS.into_iter().find(|s| s.name == name)
+    }
+
+    /// The same HMM that speaks otherwise; its name stays the model's.
+    pub fn speaking(self, speech: Speech) -> Self {
+        Self { speech, ..self }
     }
 
     /// The paper's system whose HMM this one has: systems of the same HMM differ in how they speak only.
@@ -121,6 +169,7 @@ impl System {
         let speech = match (self.speech, self.density) {
             (Speech::Means, Density::Joint) => "HMM inversion",
             (Speech::Means, Density::Streams) => "EM conversion",
+            (Speech::Posterior, _) => "posterior mean",
             (Speech::Viterbi, _) => "means of the best path",
             (Speech::LocalLinear, _) => "local linear maps",
         };
@@ -140,6 +189,7 @@ mod tests {
             assert!(SYSTEMS[..6].contains(&hmm), "{} has {}", system.name, hmm.name);
             assert_eq!(hmm.speech, Speech::Means);
         }
+        assert!(SYSTEMS.contains(&System::LOCAL_LINEAR));
         assert_eq!(System::LOCAL_LINEAR.hmm(), System::PH_VI_CHMM);
         assert_eq!(System::from_name("hmm"), None);
     }

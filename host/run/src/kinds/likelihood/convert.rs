@@ -115,11 +115,27 @@ impl Follower {
 /// Mouth parameters `[frames, D]` and viseme weights `[frames, 13]` of one utterance's observations `[frames, 39]`,
 /// spoken as the model's system speaks. Systems without a lag hear the whole utterance.
 pub fn convert(model: &Model, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
-    match model.system.speech {
+    convert_as(model, model.system.speech, observations, lag)
+}
+
+/// [`convert`], spoken in another way than the model's own: a model holds what all of them need.
+pub fn convert_as(
+    model: &Model,
+    speech: Speech,
+    observations: &Array2<f32>,
+    lag: Lag,
+) -> Result<(Array2<f32>, Array2<f32>)> {
+    match speech {
         Speech::LocalLinear => convert_with(&Follower::of_model(model), model, observations, lag),
         Speech::Means => {
             let inverter = Inverter::new(Hmm::of_model(model));
             let (spoken, visual) = inverter.convert(observations, &model.conversion)?;
+            Ok((smooth(&spoken), viseme_weights(model, &visual)))
+        }
+        Speech::Posterior => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            let (spoken, visual) =
+                inverter.posterior_mean(observations, model.posterior_scale, Lag::Whole)?;
             Ok((smooth(&spoken), viseme_weights(model, &visual)))
         }
         Speech::Viterbi => {
