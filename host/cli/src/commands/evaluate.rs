@@ -14,7 +14,6 @@ use lipstream_make::evaluate::{
     systems,
 };
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train;
 
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
@@ -28,7 +27,7 @@ pub(crate) struct Args {
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
     model: Option<PathBuf>,
-    /// Systems of the papers to measure: names separated by commas, or `all`. Those that are not in --models are trained
+    /// Systems of the papers to measure: names separated by commas, `all` of the papers', or `variants` of their HMMs. Those that are not in --models are trained
     #[arg(long, value_name = "NAMES")]
     systems: Option<String>,
     /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
@@ -124,8 +123,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .iter()
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>, _>>()?;
-            let training = train::TrainSettings::default();
-            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
+            systems::open_or_train(&chosen, &store, &folder, &heard, &progress)?
         }
     };
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];

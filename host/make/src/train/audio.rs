@@ -54,13 +54,14 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
     let (_, k, size) = visual.mean.dim();
     let frames = &coupled.aligned.visual_frames;
     for (p, phone) in parameters.phones.iter().enumerate().filter(|(p, _)| !seen[*p]) {
-        for j in 0..N_EMITTING {
+        let states = parameters.topology.states_of_atom();
+        for j in 0..states {
             let (mut n, mut first, mut second) = (0.0, vec![0.0; size], vec![0.0; size]);
             for (q, other) in parameters.phones.iter().enumerate() {
                 if !seen[q] || other.viseme() != phone.viseme() {
                     continue;
                 }
-                let from = N_EMITTING * q + j;
+                let from = states * q + j;
                 for k in 0..k {
                     let share = frames[from] * f64::from(visual.log_weight[[from, k]]).exp();
                     n += share;
@@ -74,7 +75,7 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
             if n < 1.0 {
                 continue;
             }
-            let to = N_EMITTING * p + j;
+            let to = states * p + j;
             for i in 0..size {
                 let mean = first[i] / n;
                 visual.mean[[to, 0, i]] = mean as f32;

@@ -5,6 +5,7 @@ mod audio;
 pub(crate) mod bigram;
 pub mod data;
 mod em;
+mod grow;
 pub mod local_linear;
 pub(crate) mod maps;
 pub mod resume;
@@ -34,12 +35,14 @@ use lipstream::tensors::Tensors;
 pub struct TrainSettings {
     /// Kind of model to train.
     pub system: System,
-    /// Most components per audio state (or joint state), a power of two.
+    /// Most components per audio state (or joint state), a power of two; validation clips may ask for fewer.
     pub audio_mixtures: usize,
-    /// Most components per visual state, a power of two.
+    /// Most components per visual state, a power of two; validation clips may ask for fewer.
     pub visual_mixtures: usize,
     /// EM passes between splits, and after the last one.
     pub iterations: usize,
+    /// Before them as many passes that count the best path alone (X&L appendix A).
+    pub viterbi_start: bool,
     /// Taps of the context in hops; the last one is the look-ahead.
     pub taps: Vec<i32>,
     /// Numbers that are left of the stacked statics.
@@ -67,6 +70,7 @@ impl Default for TrainSettings {
             audio_mixtures: 4,
             visual_mixtures: 2,
             iterations: 4,
+            viterbi_start: false,
             taps: (-30..=8).step_by(2).collect(),
             context: 48,
             lag: 4,
@@ -76,6 +80,25 @@ impl Default for TrainSettings {
             seed: 0,
             resume: Resume::default(),
             state: None,
+        }
+    }
+}
+
+impl TrainSettings {
+    /// How `system` is trained where nobody asks otherwise. What the device runs has as many components as it has time for;
+    /// the mixtures of the others grow until the validation clips say stop.
+    pub fn of(system: System) -> Self {
+        const MANY: usize = 64;
+        let own = Self::default();
+        let (audio_mixtures, visual_mixtures) = match system.is_live() {
+            true => (own.audio_mixtures, own.visual_mixtures),
+            false => (MANY, MANY),
+        };
+        Self {
+            system,
+            audio_mixtures,
+            visual_mixtures,
+            ..own
         }
     }
 }

@@ -45,8 +45,9 @@ const fn of(name: &'static str, topology: Topology, density: Density, speech: Sp
     }
 }
 
-/// Every system that can be trained: the paper's six first, those that speak otherwise from the same HMMs after them.
-pub const SYSTEMS: [System; 16] = [
+/// Every system that can be trained: the paper's six first, those that speak otherwise from the same HMMs after them, then
+/// variants of the HMMs: chains that may be two or three states apart, and densities of the mouth on pairs of states.
+pub const SYSTEMS: [System; 26] = [
     of("ph-hmm", Topology::PH_HMM, Density::Joint, Speech::Means),
     of("ph-mshmm", Topology::PH_HMM, Density::Streams, Speech::Means),
     of("ph-fhmm", Topology::PH_FHMM, Density::Streams, Speech::Means),
@@ -118,6 +119,66 @@ pub const SYSTEMS: [System; 16] = [
         Density::Streams,
         Speech::LocalLinear,
     ),
+    of(
+        "ph-fhmm-pairs",
+        Topology::PH_FHMM_PAIRS,
+        Density::Streams,
+        Speech::Means,
+    ),
+    of(
+        "ph-chmm-2",
+        Topology::PH_CHMM.within(2),
+        Density::Streams,
+        Speech::Means,
+    ),
+    of(
+        "ph-chmm-3",
+        Topology::PH_CHMM.within(3),
+        Density::Streams,
+        Speech::Means,
+    ),
+    of(
+        "ph-vi-chmm-2",
+        Topology::PH_VI_CHMM.within(2),
+        Density::Streams,
+        Speech::Means,
+    ),
+    of(
+        "ph-vi-chmm-3",
+        Topology::PH_VI_CHMM.within(3),
+        Density::Streams,
+        Speech::Means,
+    ),
+    of(
+        "posterior-ph-fhmm-pairs",
+        Topology::PH_FHMM_PAIRS,
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-chmm-2",
+        Topology::PH_CHMM.within(2),
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-chmm-3",
+        Topology::PH_CHMM.within(3),
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-vi-chmm-2",
+        Topology::PH_VI_CHMM.within(2),
+        Density::Streams,
+        Speech::Posterior,
+    ),
+    of(
+        "posterior-ph-vi-chmm-3",
+        Topology::PH_VI_CHMM.within(3),
+        Density::Streams,
+        Speech::Posterior,
+    ),
 ];
 
 impl System {
@@ -149,6 +210,11 @@ impl System {
             .expect("a system has its own HMM at least")
     }
 
+    /// Whether its HMM is none of the paper's table 2 but a variant.
+    pub fn is_variant(self) -> bool {
+        !SYSTEMS[..6].contains(&self.hmm())
+    }
+
     /// Whether the device can run it.
     pub fn is_live(self) -> bool {
         self == Self::LOCAL_LINEAR
@@ -160,11 +226,14 @@ impl System {
             (Pairing::Equal, Density::Joint) => "one chain, joint mixtures",
             (Pairing::Equal, Density::Streams) => "one chain, a mixture per stream",
             (Pairing::Free, _) => "two chains, each on its own inside a phone",
-            (Pairing::Band, _) => "two chains, never two states apart",
+            (Pairing::Band(1), _) => "two chains, never two states apart",
+            (Pairing::Band(2), _) => "two chains, at most two states apart",
+            (Pairing::Band(_), _) => "two chains, at most three states apart",
         };
         let atoms = match self.topology.visual {
             VisualAtom::Phone => "phones",
             VisualAtom::Viseme => "phones and visemes",
+            VisualAtom::Pair => "phones, the mouth by pairs of states",
         };
         let speech = match (self.speech, self.density) {
             (Speech::Means, Density::Joint) => "HMM inversion",
@@ -182,11 +251,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_name_is_found_and_belongs_to_one_of_the_papers_hmms() {
+    fn every_name_is_found_and_has_an_hmm_that_iterates() {
         for system in SYSTEMS {
             assert_eq!(System::from_name(system.name), Some(system));
             let hmm = system.hmm();
-            assert!(SYSTEMS[..6].contains(&hmm), "{} has {}", system.name, hmm.name);
+            assert!(
+                system.name.ends_with(hmm.name) || !system.name.contains("ph-"),
+                "{}",
+                hmm.name
+            );
+            assert_eq!(
+                system.is_variant(),
+                SYSTEMS[16..].contains(&system),
+                "{}",
+                system.name
+            );
             assert_eq!(hmm.speech, Speech::Means);
         }
         assert!(SYSTEMS.contains(&System::LOCAL_LINEAR));

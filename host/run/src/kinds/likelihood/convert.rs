@@ -171,15 +171,15 @@ pub fn apply_maps(
     Ok((local_linear::apply(&model.maps, &x, &visual), visual))
 }
 
-/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the five states of each
+/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the states of each
 /// visual atom, and over the phones of a viseme where the atoms are phones.
 pub fn viseme_weights(model: &Model, visual: &Array2<f32>) -> Array2<f32> {
     let mut out = Array2::zeros((visual.nrows(), VISEMES.len()));
     for (state, column) in visual.axis_iter(Axis(1)).enumerate() {
-        let atom = state / N_EMITTING;
+        let atom = state / model.system.topology.states_of_atom();
         let viseme = match model.system.topology.visual {
             VisualAtom::Viseme => atom,
-            VisualAtom::Phone => usize::from(model.phones[atom].viseme().0),
+            VisualAtom::Phone | VisualAtom::Pair => usize::from(model.phones[atom].viseme().0),
         };
         let mut weight = out.column_mut(viseme);
         weight += &column;
