@@ -79,6 +79,7 @@ fn missing_files_are_named() {
         &["cues", &hello, "-m", "missing", "-o", "out.tsv"],
         &["demo", "-m", "missing"],
         &["evaluate", "missing", "-m", "missing"],
+        &["evaluate", "missing", "--also", "other=missing"],
         &["export", "missing", "-o", "out.tables"],
         &["features", "missing", "-o", "out.npy"],
         &["prepare", "missing", "-o", "out"],

@@ -22,7 +22,7 @@ pub(crate) struct Args {
     dir: PathBuf,
     /// Measure how well the lip gap of the model [default: the shipped one] follows that of the people in the videos DIR, whom it need not know:
     /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
-    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "also", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
     strangers: bool,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
@@ -33,6 +33,9 @@ pub(crate) struct Args {
     /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
     #[arg(long, value_name = "DIR")]
     models: Option<PathBuf>,
+    /// Likelihood-trained model to measure too, under this name: a system that was trained otherwise (several times)
+    #[arg(long, value_name = "NAME=MODEL.safetensors")]
+    also: Vec<String>,
     /// Feature folder whose sound trains the systems too; may be given many times
     #[arg(long, value_name = "DIR", requires = "systems")]
     audio: Vec<PathBuf>,
@@ -140,6 +143,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
         candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
+    let also = args.also.iter().map(|given| named(given));
+    let also = also.collect::<Result<Vec<_>>>()?;
+    for (name, model) in &also {
+        candidates.extend(systems::also(name, model, &folder)?);
+    }
     if full {
         candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &progress)?);
         if let Some(trained) = &trained {
@@ -199,6 +207,14 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
     })
 }
 
+/// NAME=MODEL.safetensors.
+fn named(given: &str) -> Result<(String, Model)> {
+    match given.split_once('=') {
+        Some((name, path)) if !name.is_empty() => Ok((name.to_owned(), Model::read(Path::new(path))?)),
+        _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
+    }
+}
+
 /// NAME=FOLDER or NAME@MS=FOLDER.
 fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
     let Some((name, folder)) = given.split_once('=') else {
@@ -242,9 +258,11 @@ fn command(args: &Args) -> String {
     if let Some(models) = &args.models {
         words.push(format!("--models {}", short(models)));
     }
-    for given in &args.predictions {
-        let name = given.split('=').next().unwrap_or_default();
-        words.push(format!("--predictions {}=…", quoted(name)));
+    for (flag, all) in [("--predictions", &args.predictions), ("--also", &args.also)] {
+        for given in all {
+            let name = given.split('=').next().unwrap_or_default();
+            words.push(format!("{flag} {}=…", quoted(name)));
+        }
     }
     if let Some(name) = &args.against {
         words.push(format!("--against {}", quoted(name)));

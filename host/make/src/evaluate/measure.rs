@@ -7,15 +7,16 @@ use rayon::prelude::*;
 
 use super::bootstrap::{Draws, Resampled};
 use super::candidate::{Candidate, Heard};
+use super::clip_means::{self, ClipMean};
 use super::closure::{self, Closure, Gaps, TrueGap};
 use super::metrics::Score;
 use super::report::{
     Against, ClipConvergence, ColdStarts, Convergence, Curve, EvaluateSettings, NoiseCondition, NoiseRow,
-    Point, Predicted, Report, System, Trajectory,
+    Point, Predicted, Rates, Report, System, Trajectory,
 };
-use super::{Truth, changes, cold, truths};
+use super::{Truth, changes, cold, spoken, truths};
 use crate::error::{Error, Result, bail, chain, ensure};
-use crate::features::{Clip, FeatureFolder, Split};
+use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
 use crate::noise;
 use lipstream::progress::Progress;
 use lipstream::reference::{self, Normalisation};
@@ -30,6 +31,10 @@ struct Whole {
     scores: Resampled,
     /// One a clip, empty where closure is not measured.
     gaps: Vec<Vec<f32>>,
+    /// With the clips' means left in, where they are known.
+    with_means: Option<Resampled>,
+    /// Turns of the gap in a second of speech.
+    turns: Option<f64>,
     changes: Option<changes::Changes>,
     /// First parameter of the clips that are drawn.
     drawn: Vec<Vec<f32>>,
@@ -40,6 +45,10 @@ struct Bench<'a> {
     folder: &'a FeatureFolder,
     truths: &'a [Truth<'a>],
     heard: &'a [Heard<'a>],
+    /// What is said when, clip by clip.
+    phones: &'a [Vec<PhoneLabel>],
+    /// Of the clips; none where they are not known.
+    means: Option<Vec<ClipMean>>,
     draws: Draws,
     settings: &'a EvaluateSettings,
     start_mean: [f32; N_STATIC],
@@ -75,17 +84,23 @@ pub fn measure(
             })
         })
         .collect::<Result<_>>()?;
+    let mut notes = Vec::new();
+    progress.say("measuring: phones and mouth images");
+    let phones = spoken::phones(&truths, &heard)?;
+    let means = clip_means::learn(folder, &truths).map_err(|error| {
+        notes.push(format!("The clips' means are not known: {}.", chain(&error)));
+    });
     let bench = Bench {
         folder,
         truths: &truths,
         heard: &heard,
+        phones: &phones,
+        means: means.ok(),
         draws: Draws::new(truths.len(), settings.resamples, settings.seed),
         settings,
         start_mean: std::array::from_fn(|i| folder.manifest.start_mean[i]),
         progress,
     };
-    let mut notes = Vec::new();
-    progress.say("measuring: mouth images");
     let gaps = match bench.gaps() {
         Ok(gaps) => Some(gaps),
         Err(error) => {
@@ -97,7 +112,7 @@ pub fn measure(
     let drawn = spread(truths.len(), TRAJECTORY_CLIPS);
     let whole: Vec<Whole> = candidates
         .iter()
-        .map(|candidate| bench.whole(candidate, gaps.as_ref().map(|(gaps, _)| gaps), &drawn))
+        .map(|candidate| bench.whole(candidate, gaps.as_ref(), &drawn))
         .collect::<Result<_>>()?;
     for candidate in candidates.iter().filter(|c| !c.hears && c.listed) {
         if settings.noise.is_some() || settings.cold_starts {
@@ -126,6 +141,7 @@ pub fn measure(
         seed: settings.seed,
         reference: reference.map(|r| candidates[r].name.clone()),
         systems: systems(candidates, &whole, reference, &bench.draws),
+        rates: bench.rates(gaps.as_ref().map(|(_, truths)| &truths[..]))?,
         look_ahead: curves(candidates, &whole),
         babble_of: settings
             .noise
@@ -208,12 +224,17 @@ fn systems(
                 acc: scores.interval(Score::acc),
                 acc_of_first_5: scores.interval(|s| s.acc_of_first(5)),
                 correlations: scores.whole.correlations(),
+                with_clip_means: own
+                    .with_means
+                    .as_ref()
+                    .map(|scores| [scores.interval(Score::amse), scores.interval(Score::acc)]),
                 against_reference: reference.filter(|&r| r != n).map(|r| Against {
                     amse: scores.against(&whole[r].scores, draws, Score::amse),
                     acc: scores.against(&whole[r].scores, draws, Score::acc),
                 }),
                 viseme_changes_per_second: own.changes.map(|c| c.visemes_per_second()),
                 cue_changes_per_second: own.changes.map(|c| c.cues_per_second()),
+                gap_turns_per_second: own.turns,
             }
         })
         .collect()
@@ -250,11 +271,42 @@ fn curves(candidates: &[Candidate], whole: &[Whole]) -> Vec<Curve> {
 impl<'a> Bench<'a> {
     fn gaps(&self) -> Result<(Gaps, Vec<TrueGap>)> {
         let gaps = Gaps::learn(self.folder)?;
-        let truths = self.truths.par_iter();
+        let truths = self.truths.par_iter().zip(self.phones);
         let truths = truths
-            .map(|truth| gaps.truth(self.folder, truth.clip))
+            .map(|(truth, phones)| gaps.truth(self.folder, truth.clip, phones))
             .collect::<Result<_>>()?;
         Ok((gaps, truths))
+    }
+
+    fn seconds(&self, n: usize) -> f64 {
+        self.heard[n].samples.len() as f64 / f64::from(SAMPLE_RATE_HZ)
+    }
+
+    /// Turns of the lip gap in a second of speech, clip by clip in `said`; a turn goes as far as what counts as open.
+    fn turns(&self, truths: &[TrueGap], said: &[Vec<f32>]) -> f64 {
+        let (mut turns, mut seconds) = (0, 0.0);
+        for (n, (truth, said)) in truths.iter().zip(said).enumerate() {
+            let span = spoken::span(&self.phones[n], self.seconds(n));
+            turns += spoken::turns(said, truth.closed_below(), span);
+            seconds += (span.1 - span.0).max(0.0);
+        }
+        turns as f64 / f64::max(seconds, 1e-9)
+    }
+
+    fn rates(&self, truths: Option<&[TrueGap]>) -> Result<Rates> {
+        let mut labels = changes::Changes::default();
+        for (n, (truth, phones)) in self.truths.iter().zip(self.phones).enumerate() {
+            let weights = spoken::visemes(phones, truth.visual.nrows());
+            labels.add(changes::Changes::of(weights.view(), phones, self.seconds(n))?);
+        }
+        Ok(Rates {
+            label_visemes: labels.visemes_per_second(),
+            label_cues: labels.cues_per_second(),
+            true_gap_turns: truths.map(|truths| {
+                let true_gaps: Vec<Vec<f32>> = truths.iter().map(|t| t.gap().to_vec()).collect();
+                self.turns(truths, &true_gaps)
+            }),
+        })
     }
 
     /// Features of other samples than the folder's.
@@ -267,10 +319,16 @@ impl<'a> Bench<'a> {
         }
     }
 
-    fn whole(&self, candidate: &Candidate, gaps: Option<&Gaps>, drawn: &[usize]) -> Result<Whole> {
+    fn whole(
+        &self,
+        candidate: &Candidate,
+        gaps: Option<&(Gaps, Vec<TrueGap>)>,
+        drawn: &[usize],
+    ) -> Result<Whole> {
         self.progress.say(&format!("measuring: {}", candidate.name));
         struct Said {
             score: Score,
+            with_mean: Option<Score>,
             gap: Vec<f32>,
             changes: Option<changes::Changes>,
             first: Vec<f32>,
@@ -279,15 +337,19 @@ impl<'a> Bench<'a> {
             .heard
             .par_iter()
             .zip(self.truths)
-            .map(|(heard, truth)| {
+            .enumerate()
+            .map(|(n, (heard, truth))| {
                 let said = candidate.say(heard, truth.visual.dim())?;
-                let seconds = heard.samples.len() as f64 / f64::from(SAMPLE_RATE_HZ);
                 let visemes = said.visemes.as_ref();
                 Ok(Said {
                     score: Score::of(&truth.visual, &said.parameters),
-                    gap: gaps.map_or(Vec::new(), |gaps| gaps.read_out(said.parameters.view())),
+                    with_mean: self.means.as_ref().map(|means| {
+                        let mean = &means[n];
+                        Score::of(&(&truth.visual + &mean.own), &(&said.parameters + &mean.speakers))
+                    }),
+                    gap: gaps.map_or(Vec::new(), |(gaps, _)| gaps.read_out(said.parameters.view())),
                     changes: visemes
-                        .map(|v| changes::Changes::of(v.view(), truth.clip, seconds))
+                        .map(|v| changes::Changes::of(v.view(), &self.phones[n], self.seconds(n)))
                         .transpose()?,
                     first: said.parameters.column(0).to_vec(),
                 })
@@ -296,6 +358,12 @@ impl<'a> Bench<'a> {
         let mut whole = Whole {
             scores: Resampled::new(said.iter().map(|s| s.score.clone()).collect(), &self.draws),
             gaps: Vec::new(),
+            with_means: said
+                .iter()
+                .map(|s| s.with_mean.clone())
+                .collect::<Option<Vec<_>>>()
+                .map(|scores| Resampled::new(scores, &self.draws)),
+            turns: None,
             changes: None,
             drawn: drawn.iter().map(|&n| said[n].first.clone()).collect(),
         };
@@ -305,6 +373,7 @@ impl<'a> Bench<'a> {
                 whole.changes.get_or_insert_default().add(changes);
             }
         }
+        whole.turns = gaps.map(|(_, truths)| self.turns(truths, &whole.gaps));
         Ok(whole)
     }
 
@@ -315,13 +384,16 @@ impl<'a> Bench<'a> {
             .iter()
             .map(|t| gaps.read_out(t.visual.view()))
             .collect();
-        closure
-            .systems
-            .push(closure::judge("the true mouth's weights", truths, &own));
+        closure.systems.push(closure::judge(
+            "the true mouth's weights",
+            truths,
+            &own,
+            &self.draws,
+        ));
         for (candidate, whole) in candidates.iter().zip(whole).filter(|(c, _)| c.listed) {
             closure
                 .systems
-                .push(closure::judge(&candidate.name, truths, &whole.gaps));
+                .push(closure::judge(&candidate.name, truths, &whole.gaps, &self.draws));
         }
         closure
     }

@@ -110,6 +110,23 @@ pub fn candidates<'a>(systems: &[System], models: &'a [Model]) -> Result<Vec<Can
         .collect()
 }
 
+/// A likelihood-trained model under a name of its own, in its own way of speaking and, if that iterates, by the posterior mean
+/// too: the same system trained otherwise.
+pub fn also<'a>(name: &str, model: &'a Model, folder: &FeatureFolder) -> Result<Vec<Candidate<'a>>> {
+    super::models::speaks_as_many(folder, model.visual_size()).with_context(|| name.to_owned())?;
+    let ways = by_means(model.system).into_iter();
+    Ok(ways
+        .map(|system| {
+            let mut candidate = candidate(system, model);
+            candidate.name = match system == model.system {
+                true => name.to_owned(),
+                false => format!("{name}, posterior mean"),
+            };
+            candidate
+        })
+        .collect())
+}
+
 fn candidate(system: System, model: &Model) -> Candidate<'_> {
     match system.speech {
         Speech::LocalLinear => {

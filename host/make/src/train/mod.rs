@@ -254,7 +254,18 @@ impl Trained {
             true => train,
             false => validation,
         };
-        let (following, context, maps) = maps::maps(&hmm, train, judges, settings, progress)?;
+        let (following, context, maps) = match self.system.speaks_by_maps() {
+            true => maps::maps(&hmm, train, judges, settings, progress)?,
+            // Nothing speaks by these maps: nothing is to be chosen for them.
+            false => {
+                let one = TrainSettings {
+                    acoustic_scales: settings.acoustic_scales.iter().take(1).copied().collect(),
+                    penalties: settings.penalties.iter().take(1).copied().collect(),
+                    ..settings.clone()
+                };
+                maps::maps(&hmm, train, judges, &one, progress)?
+            }
+        };
         let conversion = maps::conversion(&hmm, judges, settings, progress)?;
         let posterior_scale = maps::posterior(&hmm, judges, settings, progress)?;
         let mouth = match folder.mouth_path() {

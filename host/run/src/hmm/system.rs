@@ -210,6 +210,12 @@ impl System {
             .expect("a system has its own HMM at least")
     }
 
+    /// Whether a system of the same HMM speaks by local linear maps.
+    pub fn speaks_by_maps(self) -> bool {
+        let by_maps = |s: &System| s.speech == Speech::LocalLinear && s.hmm() == self.hmm();
+        SYSTEMS.iter().any(by_maps)
+    }
+
     /// Whether its HMM is none of the paper's table 2 but a variant.
     pub fn is_variant(self) -> bool {
         !SYSTEMS[..6].contains(&self.hmm())

@@ -64,13 +64,17 @@ impl Follower {
 
     /// Occupancies of the audio states `[frames, 5·phones]` and of the visual states `[frames, visual states]`.
     pub fn occupancies(&self, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
-        let frames = observations.nrows();
+        self.occupancies_of(&self.log_likelihoods(observations), lag)
+    }
+
+    /// [`Self::occupancies`] where [`Self::log_likelihoods`] are at hand, which do not depend on the acoustic scale.
+    pub fn occupancies_of(&self, log: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
+        let frames = log.nrows();
         let mut audio = Array2::zeros((frames, self.n_audio_states));
         let mut visual = Array2::zeros((frames, self.n_visual_states));
         if frames == 0 {
             return Ok((audio, visual));
         }
-        let log = self.log_likelihoods(observations);
         let emission =
             |t: usize, s: usize| self.acoustic_scale * f64::from(log[[t, self.graph.states[s].audio]]);
         let forward = forward(&self.graph, &self.probability, frames, &emission).ok_or(NotFinite)?;
