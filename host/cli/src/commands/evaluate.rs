@@ -129,6 +129,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
             systems::open_or_train(&chosen, &store, &folder, &heard, &progress)?
         }
     };
+    let also = args.also.iter().map(|given| named(given));
+    let also = also.collect::<Result<Vec<_>>>()?;
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
@@ -143,8 +145,6 @@ pub(crate) fn run(args: Args) -> Result<()> {
         candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
-    let also = args.also.iter().map(|given| named(given));
-    let also = also.collect::<Result<Vec<_>>>()?;
     for (name, model) in &also {
         candidates.extend(systems::also(name, model, &folder)?);
     }

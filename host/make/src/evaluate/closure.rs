@@ -275,7 +275,7 @@ impl Counts {
         self.real += f64::from(u8::from(real));
     }
 
-    fn of_all<'a>(clips: &mut dyn Iterator<Item = &'a Counts>) -> Self {
+    fn of_all(clips: &mut dyn Iterator<Item = &Counts>) -> Self {
         clips.fold(Self::default(), |mut sum, clip| {
             sum.both += clip.both;
             sum.shown += clip.shown;

@@ -59,8 +59,7 @@ pub(super) fn turns(gap: &[f32], least: f32, (from, to): (f64, f64)) -> usize {
     let (mut low, mut high) = (f32::INFINITY, f32::NEG_INFINITY);
     // Whether it was opening; not known before it first moved.
     let mut opening = None;
-    for (t, &value) in gap.iter().enumerate().filter(|(t, _)| inside(*t)) {
-        debug_assert!(t < gap.len());
+    for (_, &value) in gap.iter().enumerate().filter(|(t, _)| inside(*t)) {
         (low, high) = (low.min(value), high.max(value));
         if opening != Some(true) && value > low + least {
             turned += usize::from(opening.is_some());
