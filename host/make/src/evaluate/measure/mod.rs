@@ -2,7 +2,6 @@
 use std::collections::HashSet;
 
 use lipstream_core::{N_STATIC, SAMPLE_RATE_HZ};
-use ndarray::{Array2, s};
 use rayon::prelude::*;
 
 use super::bootstrap::{Draws, Resampled};
@@ -10,17 +9,16 @@ use super::candidate::{Candidate, Heard};
 use super::clip_means::{self, ClipMean};
 use super::closure::{self, Closure, Gaps, TrueGap};
 use super::metrics::Score;
-use super::report::{
-    Against, ClipConvergence, ColdStarts, Convergence, Curve, EvaluateSettings, NoiseCondition, NoiseRow,
-    Point, Predicted, Rates, Report, System, Trajectory,
-};
-use super::{Truth, changes, cold, spoken, truths};
+use super::report::{Against, Curve, EvaluateSettings, Point, Rates, Report, System};
+use super::{Truth, changes, spoken, truths};
 use crate::error::{Error, Result, bail, chain, ensure};
-use crate::features::{Clip, FeatureFolder, PhoneLabel, Split};
-use crate::noise;
+use crate::features::{FeatureFolder, PhoneLabel, Split};
 use lipstream::progress::Progress;
 use lipstream::reference::{self, Normalisation};
 use lipstream_media::sound;
+
+mod course;
+mod disturbed;
 
 /// Clips drawn in figure 10 and in figure 11.
 const CONVERGENCE_CLIPS: usize = 8;
@@ -396,225 +394,5 @@ impl<'a> Bench<'a> {
                 .push(closure::judge(&candidate.name, truths, &whole.gaps, &self.draws));
         }
         closure
-    }
-
-    fn noise(&self, candidates: &[Candidate]) -> Result<Vec<NoiseCondition>> {
-        let Some(settings) = &self.settings.noise else {
-            return Ok(Vec::new());
-        };
-        let listeners: Vec<&Candidate> = candidates
-            .iter()
-            .filter(|c| c.hears && c.listed)
-            .filter(|c| settings.systems.is_empty() || settings.systems.contains(&c.name))
-            .collect();
-        let folder = settings.babble.as_ref().unwrap_or(self.folder);
-        ensure!(
-            folder.split(Split::Train).next().is_some(),
-            Data,
-            "{} has no training clip that could babble",
-            folder.root.display()
-        );
-        let voices: Vec<(String, Vec<i16>)> = folder
-            .split(Split::Train)
-            .map(|clip| {
-                Ok((
-                    clip.id.clone(),
-                    sound::read(&folder.wav_path(&clip.id))
-                        .map_err(Error::other)?
-                        .samples,
-                ))
-            })
-            .collect::<Result<_>>()?;
-        let mut out = Vec::new();
-        for kind in [noise::Kind::White, noise::Kind::Babble] {
-            let beside: Vec<Vec<f64>> = self
-                .heard
-                .par_iter()
-                .map(|heard| {
-                    let mut rng = noise::generator(self.settings.seed, heard.id, kind.name());
-                    match kind {
-                        noise::Kind::White => noise::white(&mut rng, heard.samples.len()),
-                        noise::Kind::Babble => {
-                            let others = voices.iter().filter(|(id, _)| id != heard.id);
-                            let others: Vec<&[i16]> = others.map(|(_, samples)| samples.as_slice()).collect();
-                            noise::babble(&mut rng, &others, heard.samples.len())
-                        }
-                    }
-                })
-                .collect();
-            for &snr_db in &settings.snrs_db {
-                self.progress
-                    .say(&format!("measuring: {} noise, {snr_db} dB", kind.name()));
-                let noisy: Vec<Heard> = self
-                    .heard
-                    .par_iter()
-                    .zip(&beside)
-                    .map(|(heard, noise)| self.hear(heard.id, noise::add(&heard.samples, noise, snr_db)))
-                    .collect();
-                let rows = listeners.iter().map(|candidate| {
-                    let scores = noisy
-                        .par_iter()
-                        .zip(self.truths)
-                        .map(|(heard, truth)| {
-                            let said = candidate.say(heard, truth.visual.dim())?;
-                            Ok(Score::of(&truth.visual, &said.parameters))
-                        })
-                        .collect::<Result<_>>()?;
-                    let scores = Resampled::new(scores, &self.draws);
-                    Ok(NoiseRow {
-                        name: candidate.name.clone(),
-                        amse: scores.interval(Score::amse),
-                        acc: scores.interval(Score::acc),
-                    })
-                });
-                out.push(NoiseCondition {
-                    kind,
-                    snr_db,
-                    systems: rows.collect::<Result<_>>()?,
-                });
-            }
-        }
-        Ok(out)
-    }
-
-    fn cold_starts(&self, candidates: &[Candidate]) -> Result<Option<ColdStarts>> {
-        if !self.settings.cold_starts {
-            return Ok(None);
-        }
-        let seed = self.settings.seed;
-        let hear = |id, samples| self.hear(id, samples);
-        let starts = cold::starts(self.folder, self.truths, self.heard, seed, hear)?;
-        if starts.is_empty() {
-            return Ok(None);
-        }
-        let draws = Draws::new(starts.len(), self.settings.resamples, seed);
-        let mut systems = Vec::new();
-        for candidate in candidates.iter().filter(|c| c.hears && c.listed) {
-            self.progress
-                .say(&format!("measuring: {}, cold starts", candidate.name));
-            let said: Vec<cold::Said> = starts
-                .par_iter()
-                .map(|start| start.say(candidate))
-                .collect::<Result<_>>()?;
-            let score = |which: fn(&cold::Said) -> &Array2<f32>, frames: usize| {
-                let clips = starts.iter().zip(&said).map(|(start, said)| {
-                    let (truth, said) = (&start.truth, which(said));
-                    let head = |a: &Array2<f32>| a.slice(s![..frames.min(a.nrows()), ..]).to_owned();
-                    Score::of(&head(truth), &head(said))
-                });
-                Resampled::new(clips.collect(), &draws)
-            };
-            let (cold, warm) = (score(|s| &s.cold, usize::MAX), score(|s| &s.warm, usize::MAX));
-            systems.push(cold::Row {
-                name: candidate.name.clone(),
-                amse: cold.interval(Score::amse),
-                acc: cold.interval(Score::acc),
-                warm_amse: warm.interval(Score::amse),
-                warm_acc: warm.interval(Score::acc),
-                amse_difference: cold.against(&warm, &draws, Score::amse),
-                acc_difference: cold.against(&warm, &draws, Score::acc),
-                first_half_second_amse: score(|s| &s.cold, cold::FIRST).whole.amse(),
-                first_half_second_warm_amse: score(|s| &s.warm, cold::FIRST).whole.amse(),
-            });
-        }
-        Ok(Some(ColdStarts {
-            clips: starts.len(),
-            frames: starts.iter().map(|s| s.truth.nrows()).sum(),
-            systems,
-        }))
-    }
-
-    /// `None` for a candidate that does not iterate.
-    fn convergence(&self, candidate: &Candidate, detailed: bool) -> Result<Option<Convergence>> {
-        let Some(iterate) = &candidate.iterations else {
-            return Ok(None);
-        };
-        self.progress
-            .say(&format!("measuring: {}, iterations", candidate.name));
-        let clips: Vec<(Vec<Score>, Vec<f64>)> = self
-            .heard
-            .par_iter()
-            .zip(self.truths)
-            .map(|(heard, truth)| {
-                let iterations = iterate(heard)?;
-                let mut scores = Vec::new();
-                for iteration in &iterations {
-                    candidate.check(heard.id, &iteration.parameters, truth.visual.dim())?;
-                    scores.push(Score::of(&truth.visual, &iteration.parameters));
-                }
-                let frames = truth.visual.nrows().max(1) as f64;
-                let likelihood = iterations.iter().map(|i| i.log_likelihood / frames).collect();
-                Ok((scores, likelihood))
-            })
-            .collect::<Result<_>>()?;
-        let length = clips.iter().map(|(scores, _)| scores.len()).min().unwrap_or(0);
-        let pooled: Vec<Score> = (0..length)
-            .map(|n| {
-                let mut sum = Score::new(self.folder.manifest.visual_size);
-                clips.iter().for_each(|(scores, _)| sum.merge(&scores[n]));
-                sum
-            })
-            .collect();
-        let frames: f64 = pooled.first().map_or(1.0, |score| score.frames() as f64);
-        let likelihood = |n: usize| {
-            let sums = clips.iter().map(|(scores, l)| l[n] * scores[n].frames() as f64);
-            sums.sum::<f64>() / frames
-        };
-        let falls = |l: &Vec<f64>| {
-            l.windows(2)
-                .filter(|w| w[1] < w[0] - 1e-6 * w[0].abs().max(1.0))
-                .count()
-        };
-        Ok(Some(Convergence {
-            name: candidate.name.clone(),
-            acc: pooled.iter().map(Score::acc).collect(),
-            amse: pooled.iter().map(Score::amse).collect(),
-            log_likelihood: (0..length).map(likelihood).collect(),
-            falls: clips.iter().map(|(_, l)| falls(l)).sum(),
-            clips: spread(clips.len(), if detailed { CONVERGENCE_CLIPS } else { 0 })
-                .into_iter()
-                .map(|n| ClipConvergence {
-                    clip: self.heard[n].id.to_owned(),
-                    acc: clips[n].0.iter().map(Score::acc).collect(),
-                    log_likelihood: clips[n].1.clone(),
-                })
-                .collect(),
-        }))
-    }
-
-    fn trajectories(
-        &self,
-        candidates: &[Candidate],
-        whole: &[Whole],
-        reference: Option<usize>,
-        drawn: &[usize],
-    ) -> Vec<Trajectory> {
-        // X&L hold the single-state Viterbi means against their conversion; without that system, the plain baseline.
-        let old = candidates
-            .iter()
-            .position(|c| c.name == "viterbi")
-            .or_else(|| candidates.iter().position(|c| c.name.starts_with("ridge")));
-        let mut shown: Vec<usize> = reference.into_iter().chain(old).collect();
-        shown.dedup();
-        let words = |clip: &Clip| {
-            let words: Vec<&str> = clip.words.iter().map(|w| w.text.as_str()).collect();
-            words.join(" ")
-        };
-        drawn
-            .iter()
-            .enumerate()
-            .map(|(place, &n)| Trajectory {
-                clip: self.truths[n].clip.id.clone(),
-                words: words(self.truths[n].clip),
-                actual: self.truths[n].visual.column(0).to_vec(),
-                predicted: shown
-                    .iter()
-                    .map(|&c| Predicted {
-                        name: candidates[c].name.clone(),
-                        values: whole[c].drawn[place].clone(),
-                    })
-                    .collect(),
-            })
-            .collect()
     }
 }
