@@ -59,7 +59,13 @@ fn every_command_explains_itself() {
 #[test]
 fn wrong_words_are_refused() {
     let folder = common::folder("cli-words");
-    for words in [&[][..], &["speak"], &["convert", "--loud"], &["export"]] {
+    for words in [
+        &[][..],
+        &["speak"],
+        &["convert", "--loud"],
+        &["export"],
+        &["train", "x", "-o", "y", "--sound-only", "--viterbi-start"],
+    ] {
         let output = run(&folder, words);
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{words:?}: {error}");
