@@ -63,7 +63,13 @@ fn every_command_explains_itself() {
 #[test]
 fn wrong_words_are_refused() {
     let folder = common::folder("cli-words");
-    for words in [&[][..], &["speak"], &["convert", "--loud"], &["export"]] {
+    for words in [
+        &[][..],
+        &["speak"],
+        &["convert", "--loud"],
+        &["export"],
+        &["train", "x", "-o", "y", "--sound-only", "--viterbi-start"],
+    ] {
         let output = run(&folder, words);
         let error = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(2), "{words:?}: {error}");
@@ -83,6 +89,7 @@ fn missing_files_are_named() {
         &["cues", &hello, "-m", "missing", "-o", "out.tsv"],
         &["demo", "-m", "missing"],
         &["evaluate", "missing", "-m", "missing"],
+        &["evaluate", "missing", "--also", "other=missing"],
         &["export", "missing", "-o", "out.tables"],
         &["features", "missing", "-o", "out.npy"],
         &["prepare", "missing", "-o", "out"],
@@ -289,6 +296,50 @@ fn switches_of_one_kind_of_model() {
         assert!(error.contains(said), "{error}");
     }
     assert!(!folder.join("refused.npy").exists());
+}
+
+/// Every way to find the mouth says something else; each is there in floats only, for likelihood-trained models only.
+#[test]
+fn the_mouth_is_found_in_four_ways() {
+    let folder = common::folder("cli-mouth-by");
+    let hello = hello();
+    let shipped = path(&common::root().join("models/grid-s1.safetensors"));
+    common::synthetic_model()
+        .write(&folder.join("likely.safetensors"))
+        .unwrap();
+    let words = ["convert", &hello, "-m", "likely.safetensors", "-o", "out.npy"];
+    let ways = ["means", "posterior", "viterbi", "local-linear"];
+    let said = ways.map(|way| {
+        let more = ["--engine", "float", "--mouth-by", way];
+        succeed(&folder, &[&words[..], &more].concat());
+        let out: ndarray::Array2<f32> = ndarray_npy::read_npy(folder.join("out.npy")).unwrap();
+        out
+    });
+    for (n, one) in said.iter().enumerate() {
+        assert_eq!(one.dim(), said[0].dim());
+        for (way, other) in ways.iter().zip(&said).take(n) {
+            assert_ne!(one, other, "{way} says what {} says", ways[n]);
+        }
+    }
+    for (model, more) in [
+        ("likely.safetensors", &[][..]),
+        (&shipped, &[]),
+        (&shipped, &["--engine", "float"]),
+    ] {
+        let words = [
+            "convert",
+            &hello,
+            "-m",
+            model,
+            "-o",
+            "no.npy",
+            "--mouth-by",
+            "means",
+        ];
+        let error = refuse(&folder, &[&words[..], more].concat());
+        assert!(error.contains("likelihood-trained model in floats"), "{error}");
+    }
+    assert!(!folder.join("no.npy").exists());
 }
 
 /// The shipped tables are the shipped model's.

@@ -1,4 +1,6 @@
 //! Training end to end on a made-up talker: features on disk to a model that moves the mouth rightly, twice the same.
+use std::sync::Mutex;
+
 use lipstream::engine::{Engine, Kind};
 use lipstream::export::{ExportSettings, export};
 use lipstream::hmm::system::System;
@@ -126,6 +128,48 @@ fn a_new_mouth_is_learnt_for_the_old_ears() {
         refused.contains("ph-hmm is of sound and mouth together"),
         "{refused}"
     );
+}
+
+/// Nobody says how many components there are to be: the validation clips stop the growth of either chain, and what was grown in
+/// vain is not kept. A start by the best path is as good here.
+#[test]
+fn validation_clips_stop_the_growth() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = made_up_talker(scratch.path(), 12);
+    let system = System::from_name("ph-mshmm").unwrap();
+    for viterbi_start in [false, true] {
+        let settings = TrainSettings {
+            audio_mixtures: TrainSettings::of(system).audio_mixtures,
+            visual_mixtures: TrainSettings::of(system).visual_mixtures,
+            system,
+            viterbi_start,
+            ..small()
+        };
+        let said = Mutex::new(Vec::new());
+        let model = train(&folder, &[], &settings, &|line: &str| {
+            said.lock().unwrap().push(line.to_owned());
+        })
+        .unwrap();
+        let said = said.into_inner().unwrap();
+        let judged: Vec<f64> = said
+            .iter()
+            .filter_map(|line| line.trim().strip_prefix("validation clips: "))
+            .map(|rest| rest.split(' ').next().unwrap().parse().unwrap())
+            .collect();
+        // Every split that stayed has doubled a chain's components.
+        let mut best = judged[0];
+        let mut stayed = 0;
+        for &unseen in &judged[1..] {
+            if unseen > best {
+                (best, stayed) = (unseen, stayed + 1);
+            }
+        }
+        let (audio, visual) = (model.audio.mean.dim().1, model.visual.mean.dim().1);
+        assert_eq!(audio * visual, 1 << stayed, "{judged:?}");
+        assert!(audio < settings.audio_mixtures && visual < settings.visual_mixtures);
+        assert_eq!(said.iter().any(|l| l.contains("by the best path")), viterbi_start);
+        assert!(score(&folder, &model).acc() > 0.7);
+    }
 }
 
 #[test]

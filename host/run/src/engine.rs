@@ -18,7 +18,7 @@ use crate::error::{Context as _, Error, Result};
 use crate::export::{ExportError, ExportSettings, MgeSettings, export, export_mge};
 use crate::hmm::Hmm;
 use crate::hmm::system::Speech;
-use crate::kinds::likelihood::convert::{Follower, Lag, convert, smooth, viseme_weights};
+use crate::kinds::likelihood::convert::{Follower, Lag, convert_as, smooth, viseme_weights};
 use crate::kinds::likelihood::inversion::Inverter;
 use crate::kinds::likelihood::live::Live as LocalLinear;
 use crate::kinds::likelihood::{EmSettings, Model, NotFinite};
@@ -48,6 +48,8 @@ pub struct RunSettings {
     pub beam_bits: Option<f64>,
     /// The mouth by EM inside the lag window, with this exponent on its likelihood; the maps' where none is given.
     pub feedback: Option<f64>,
+    /// How the mouth is found from the states, in place of the model's own way; likelihood-trained models in floats only.
+    pub speech: Option<Speech>,
     /// How much of the future may be waited for; all that the model can use where none is given.
     pub profile: Option<Profile>,
     /// Whether a mouth that hardly moves is followed slowly; recurrent models only.
@@ -70,6 +72,12 @@ pub enum SettingError {
     /// `profile` does not go with a float model that has a lag.
     #[error("in floats a model with a lag has no profiles")]
     FloatProfile,
+    /// `speech` is for likelihood-trained models in floats only.
+    #[error("only a likelihood-trained model in floats finds the mouth in another way than its own")]
+    Speech,
+    /// `speech` and `feedback` exclude each other.
+    #[error("EM inside the lag window is a way of its own to find the mouth")]
+    SpeechFeedback,
     /// A recurrent model in floats takes neither `beam_bits`, `lag` nor `feedback`.
     #[error("a model trained on the error of its mouth has neither beam, lag nor EM in floats")]
     FloatRecurrent,
@@ -232,6 +240,7 @@ impl Engine {
         let running = match &self.0 {
             Ready::Fixed(tables) => {
                 let tables = tables.borrow_dependent();
+                refuse(with.speech.is_some(), SettingError::Speech)?;
                 refuse(
                     with.feedback.is_some() && !tables.understands(Setting::Feedback),
                     SettingError::Feedback,
@@ -249,6 +258,7 @@ impl Engine {
             Ready::Float(FloatModel::Recurrent(model)) => {
                 let other = with.beam_bits.is_some() || with.lag.is_some() || with.feedback.is_some();
                 refuse(other, SettingError::FloatRecurrent)?;
+                refuse(with.speech.is_some(), SettingError::Speech)?;
                 let own = model.parameters.shape.context.look_ahead();
                 let ahead = with.profile.and_then(|p| StreamSettings::of(p).look_ahead);
                 Running::Recurrent {
@@ -341,15 +351,20 @@ fn follow<'m>(model: &'m Model, with: &RunSettings) -> Result<Running<'m>, Setti
     refuse(with.settle.is_some(), SettingError::Settle)?;
     let observer = observer(model);
     let lag = with.lag.map_or(model.following.lag, usize::from);
-    let convert: Whole<'m> = match (with.feedback, model.system.speech) {
+    refuse(
+        with.speech.is_some() && with.feedback.is_some(),
+        SettingError::SpeechFeedback,
+    )?;
+    let speech = with.speech.unwrap_or(model.system.speech);
+    let convert: Whole<'m> = match (with.feedback, speech) {
         (None, Speech::LocalLinear) => {
             return Ok(Running::LocalLinear {
                 observer,
                 live: Box::new(LocalLinear::new(model, lag)),
             });
         }
-        (None, _) => Box::new(move |heard| {
-            let (parameters, visemes) = convert(model, heard, Lag::Frames(lag))?;
+        (None, speech) => Box::new(move |heard| {
+            let (parameters, visemes) = convert_as(model, speech, heard, Lag::Frames(lag))?;
             Ok(Converted { parameters, visemes })
         }),
         (Some(exponent), _) => Box::new(move |heard| live_em(model, heard, lag, exponent)),

@@ -110,6 +110,7 @@ pub fn model(sizes: &Sizes, spread: f32, rng: &mut impl Rng) -> Model {
             lag: 4,
         },
         conversion: EmSettings::default(),
+        posterior_scale: EmSettings::default().acoustic_scale,
         mouth: None,
         provenance: "random numbers".to_owned(),
     }

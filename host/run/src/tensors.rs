@@ -139,6 +139,11 @@ impl Tensors {
         self.arrays.contains_key(name)
     }
 
+    /// Whether there is a note under `key`.
+    pub fn has_note(&self, key: &str) -> bool {
+        self.notes.contains_key(key)
+    }
+
     /// The note under `key`, as the type that the caller asks for.
     ///
     /// # Errors

@@ -40,6 +40,20 @@ choice! {
 }
 
 choice! {
+    /// How the mouth is found from the states.
+    MouthBy for lipstream::hmm::system::Speech {
+        /// EM from the components' means, as in the paper: the likeliest mouth
+        Means,
+        /// The mean of the mouth given the sound
+        Posterior,
+        /// The means of the best path's states
+        Viterbi,
+        /// Local linear maps
+        LocalLinear,
+    }
+}
+
+choice! {
     /// Shapes that an animation program blends.
     BlendSet for lipstream::cues::BlendSet {
         /// The 15 visemes of Oculus lip sync

@@ -42,6 +42,9 @@ pub(crate) struct Args {
     /// 4); likelihood-trained models only
     #[arg(long, value_name = "EXPONENT")]
     feedback: Option<f64>,
+    /// How the mouth is found from the states, in floats; likelihood-trained models only [default: the model's own]
+    #[arg(long, value_enum, value_name = "WAY", conflicts_with = "feedback")]
+    mouth_by: Option<choices::MouthBy>,
     /// Show every movement at once, the quiver of a mouth at rest too (models trained on the error of their mouth)
     #[arg(long)]
     no_settling: bool,
@@ -68,6 +71,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         lag: args.lag,
         beam_bits: args.beam,
         feedback: args.feedback,
+        speech: args.mouth_by.map(Into::into),
         profile: args.profile.map(Into::into),
         settle: args.no_settling.then_some(false),
     };
@@ -110,6 +114,7 @@ fn of_stream(args: &Args, format: Format) -> Result<()> {
         args.lag.is_some(),
         args.beam.is_some(),
         args.feedback.is_some(),
+        args.mouth_by.is_some(),
         args.profile.is_some(),
     ];
     if args.model.is_some() || settings.contains(&true) || args.no_settling {

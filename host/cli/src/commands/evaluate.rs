@@ -14,7 +14,6 @@ use lipstream_make::evaluate::{
     systems,
 };
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::train;
 
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
@@ -23,7 +22,7 @@ pub(crate) struct Args {
     dir: PathBuf,
     /// Measure how well the lip gap of the model [default: the shipped one] follows that of the people in the videos DIR, whom it need not know:
     /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
-    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "also", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
     strangers: bool,
     /// Measure how well the model [default: the shipped one] follows every speaker of the feature folder DIR, which needs no video: whether lips close at p, b, m
     /// and nowhere else, and whether visemes are the labels'. All clips, unless --split is given
@@ -32,12 +31,15 @@ pub(crate) struct Args {
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
     model: Option<PathBuf>,
-    /// Systems of the papers to measure: names separated by commas, or `all`. Those that are not in --models are trained
+    /// Systems of the papers to measure: names separated by commas, `all` of the papers', or `variants` of their HMMs. Those that are not in --models are trained
     #[arg(long, value_name = "NAMES")]
     systems: Option<String>,
     /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
     #[arg(long, value_name = "DIR")]
     models: Option<PathBuf>,
+    /// Likelihood-trained model to measure too, under this name: a system that was trained otherwise (several times)
+    #[arg(long, value_name = "NAME=MODEL.safetensors")]
+    also: Vec<String>,
     /// Feature folder whose sound trains the systems too; may be given many times
     #[arg(long, value_name = "DIR", requires = "systems")]
     audio: Vec<PathBuf>,
@@ -132,10 +134,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .iter()
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>, _>>()?;
-            let training = train::TrainSettings::default();
-            systems::open_or_train(&chosen, &store, &folder, &heard, &training, &progress)?
+            systems::open_or_train(&chosen, &store, &folder, &heard, &progress)?
         }
     };
+    let also = args.also.iter().map(|given| named(given));
+    let also = also.collect::<Result<Vec<_>>>()?;
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
     if let Some(model) = &model {
@@ -143,13 +146,16 @@ pub(crate) fn run(args: Args) -> Result<()> {
             Speech::LocalLinear => models::of_model(&folder, model, args.beam)?,
             // The device does not speak by means; a system that is measured anyway stands there once.
             _ if chosen.contains(&model.system) => Vec::new(),
-            _ => systems::candidates(&[model.system], std::slice::from_ref(model))?,
+            _ => systems::candidates(&systems::by_means(model.system), std::slice::from_ref(model))?,
         });
     }
     if let Some(trained) = &trained {
         candidates.extend(models::of_mge(&folder, trained, args.beam)?);
     }
     candidates.extend(systems::candidates(&chosen, &stored)?);
+    for (name, model) in &also {
+        candidates.extend(systems::also(name, model, &folder)?);
+    }
     if full {
         candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &progress)?);
         if let Some(trained) = &trained {
@@ -215,6 +221,14 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
     })
 }
 
+/// NAME=MODEL.safetensors.
+fn named(given: &str) -> Result<(String, Model)> {
+    match given.split_once('=') {
+        Some((name, path)) if !name.is_empty() => Ok((name.to_owned(), Model::read(Path::new(path))?)),
+        _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
+    }
+}
+
 /// NAME=FOLDER or NAME@MS=FOLDER.
 fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
     let Some((name, folder)) = given.split_once('=') else {
@@ -258,9 +272,11 @@ fn command(args: &Args) -> String {
     if let Some(models) = &args.models {
         words.push(format!("--models {}", short(models)));
     }
-    for given in &args.predictions {
-        let name = given.split('=').next().unwrap_or_default();
-        words.push(format!("--predictions {}=…", quoted(name)));
+    for (flag, all) in [("--predictions", &args.predictions), ("--also", &args.also)] {
+        for given in all {
+            let name = given.split('=').next().unwrap_or_default();
+            words.push(format!("{flag} {}=…", quoted(name)));
+        }
     }
     if let Some(name) = &args.against {
         words.push(format!("--against {}", quoted(name)));

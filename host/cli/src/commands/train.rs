@@ -42,15 +42,20 @@ pub(crate) struct Args {
     /// System to train [default: local-linear, or what --from holds]
     #[arg(long, value_parser = system)]
     system: Option<System>,
-    /// Most Gaussians per audio state, a power of two; the validation clips choose
-    #[arg(long, default_value_t = TrainSettings::default().audio_mixtures)]
-    audio_mixtures: usize,
-    /// Most Gaussians per visual state, a power of two; the validation clips choose
-    #[arg(long, default_value_t = TrainSettings::default().visual_mixtures)]
-    visual_mixtures: usize,
+    /// Most Gaussians per audio state, a power of two; the validation clips choose [default: 4 for local-linear, which the device
+    /// runs, and with --sound-only; else until they say stop]
+    #[arg(long, value_name = "K")]
+    audio_mixtures: Option<usize>,
+    /// Most Gaussians per visual state, a power of two; the validation clips choose [default: 2 for local-linear, else until they
+    /// say stop]
+    #[arg(long, value_name = "K")]
+    visual_mixtures: Option<usize>,
     /// EM passes after the start and after every split
     #[arg(long, default_value_t = TrainSettings::default().iterations)]
     iterations: usize,
+    /// Before the first EM pass, as many passes that count the best path alone
+    #[arg(long, conflicts_with_all = ["sound_only", "state", "from"])]
+    viterbi_start: bool,
     /// Frames of 10 ms that the choice of states waits, beyond the 40 ms of ΔΔ
     #[arg(long, default_value_t = TrainSettings::default().lag)]
     lag: usize,
@@ -122,15 +127,16 @@ fn whole(args: Args) -> Result<()> {
         .iter()
         .map(|path| FeatureFolder::open(path))
         .collect::<Result<Vec<_>, _>>()?;
+    let usual = TrainSettings::of(args.system.unwrap_or(TrainSettings::default().system));
     let mut settings = TrainSettings {
-        system: args.system.unwrap_or(TrainSettings::default().system),
-        audio_mixtures: args.audio_mixtures,
-        visual_mixtures: args.visual_mixtures,
+        audio_mixtures: args.audio_mixtures.unwrap_or(usual.audio_mixtures),
+        visual_mixtures: args.visual_mixtures.unwrap_or(usual.visual_mixtures),
         iterations: args.iterations,
+        viterbi_start: args.viterbi_start,
         lag: args.lag,
         clips: args.clips,
         seed: args.seed,
-        ..TrainSettings::default()
+        ..usual
     };
     let mut state_checksum = 0;
     if let Some(path) = &args.state {
@@ -201,12 +207,11 @@ fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &TrainSet
 }
 
 fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> {
+    let usual = align::train::AudioHmmSettings::default();
     let settings = align::train::AudioHmmSettings {
-        mixtures: args.audio_mixtures,
+        mixtures: args.audio_mixtures.unwrap_or(usual.mixtures),
         iterations: args.iterations,
-        tolerance: args
-            .tolerance
-            .or(align::train::AudioHmmSettings::default().tolerance),
+        tolerance: args.tolerance.or(usual.tolerance),
         without: args.without.clone(),
     };
     align::train::train(folder, &settings, output.parent(), &Terminal::default())?.write(output)?;

@@ -75,6 +75,17 @@ pub struct SpokenWord {
 }
 
 impl Alignment {
+    /// Phones and pauses as labels; those of no length are left out.
+    pub fn labels(&self) -> Vec<PhoneLabel> {
+        let label = |p: &Spoken| PhoneLabel {
+            phone: p.phone.name().to_owned(),
+            start: p.start as f32,
+            end: p.end as f32,
+        };
+        let labels = self.phones.iter().map(label);
+        labels.filter(|l| l.end > l.start).collect()
+    }
+
     /// Text of word `number`, as numbered in [`Spoken::word`].
     fn text(&self, number: usize) -> Option<&str> {
         Some(self.words.get(number)?.text.as_str())

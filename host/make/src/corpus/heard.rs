@@ -6,7 +6,7 @@ use crate::align::fit::Fit;
 use crate::align::recognise::RecognitionSettings;
 use crate::align::{Aligner, Alignment, AudioHmm, Recogniser};
 use crate::error::{Error, Result};
-use crate::features::{Clip, PhoneLabel, PhonesFrom};
+use crate::features::{Clip, PhonesFrom};
 
 /// By whom clips are heard that have no labels with times.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -82,27 +82,17 @@ impl Listener {
         };
         let heard = ears.recogniser.recognise(samples)?;
         if clip.words.is_empty() {
-            (clip.phones, clip.phones_from) = (labels(&heard), PhonesFrom::Recognised);
+            (clip.phones, clip.phones_from) = (heard.labels(), PhonesFrom::Recognised);
             return Ok(Heard::Recognised);
         }
         let aligned = ears.aligner.words(samples, &clip.words);
         let says = |aligned: &Alignment| Fit::of(aligned, &heard).is_some_and(Fit::says);
         match aligned {
             Ok(aligned) if says(&aligned) => {
-                (clip.phones, clip.phones_from) = (labels(&aligned), PhonesFrom::Aligned);
+                (clip.phones, clip.phones_from) = (aligned.labels(), PhonesFrom::Aligned);
                 Ok(Heard::Aligned)
             }
             _ => Ok(Heard::Otherwise),
         }
     }
-}
-
-fn labels(alignment: &Alignment) -> Vec<PhoneLabel> {
-    let label = |p: &crate::align::Spoken| PhoneLabel {
-        phone: p.phone.name().to_owned(),
-        start: p.start as f32,
-        end: p.end as f32,
-    };
-    let labels = alignment.phones.iter().map(label);
-    labels.filter(|l| l.end > l.start).collect()
 }

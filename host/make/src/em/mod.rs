@@ -17,10 +17,12 @@ use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
 use source::{Source, Utterance, in_order};
 
+mod best_path;
 pub mod density;
 pub mod source;
 mod transitions;
 
+pub use best_path::expect_by_best_path;
 pub use lipstream::hmm::topology::start_transitions;
 use transitions::maximise_transitions;
 
@@ -120,7 +122,9 @@ impl Start {
                 .add(N_EMITTING * phone + i, 0, 1.0, row(utterance.audio.row(t)));
             if let Some(v) = &utterance.visual {
                 let atom = self.topology.visual_atom(phone, self.phones[phone]);
-                self.visual.add(N_EMITTING * atom + i, 0, 1.0, row(v.row(t)));
+                for state in self.topology.visual_states_at(atom, i) {
+                    self.visual.add(state, 0, 1.0, row(v.row(t)));
+                }
             }
         }
     }
@@ -388,6 +392,19 @@ pub fn expect_from<S: Source + ?Sized>(
     tolerance: Option<usize>,
 ) -> Result<Sums> {
     let evaluators = Evaluators::new(parameters);
+    let one = |utterance: &Utterance, sums: &mut Sums| {
+        expect_one(parameters, &evaluators, utterance, tolerance, sums);
+    };
+    sum_up(parameters, utterances, range, one)
+}
+
+/// Sums over the utterances `range`, of which `one` adds each.
+fn sum_up<S: Source + ?Sized>(
+    parameters: &Parameters,
+    utterances: &S,
+    range: Range<usize>,
+    one: impl Fn(&Utterance, &mut Sums) + Sync,
+) -> Result<Sums> {
     let mut total = Sums::new(parameters);
     in_order(
         chunks(range.len()),
@@ -395,8 +412,7 @@ pub fn expect_from<S: Source + ?Sized>(
             let mut sums = Sums::new(parameters);
             let first = range.start + chunk * CHUNK;
             for n in first..(first + CHUNK).min(range.end) {
-                let utterance = utterances.get(n)?;
-                expect_one(parameters, &evaluators, &utterance, tolerance, &mut sums);
+                one(&*utterances.get(n)?, &mut sums);
             }
             Ok(sums)
         },

@@ -54,6 +54,8 @@ fn likelihood_never_falls() {
         Topology::PH_VI_FHMM,
         Topology::PH_CHMM,
         Topology::PH_VI_CHMM,
+        Topology::PH_VI_CHMM.within(3),
+        Topology::PH_FHMM_PAIRS,
     ] {
         let (utterances, phones) = corpus();
         let (mut parameters, audio, visual) = start(&utterances[..], topology, &phones).unwrap();
@@ -71,6 +73,36 @@ fn likelihood_never_falls() {
             maximise(&mut parameters, &sums, &audio, visual.as_ref());
         }
     }
+}
+
+/// By the best path alone: each frame counts once, the path grows likelier with every pass, and EM goes on from there.
+#[test]
+fn the_best_path_gives_a_start() {
+    let (utterances, phones) = corpus();
+    let (mut parameters, audio, visual) = start(&utterances[..], Topology::PH_VI_CHMM, &phones).unwrap();
+    let mut last = f64::NEG_INFINITY;
+    for _ in 0..4 {
+        let sums = expect_by_best_path(&parameters, &utterances[..]).unwrap();
+        assert!(sums.failed.is_empty());
+        let frames: usize = utterances.iter().map(|u| u.audio.nrows()).sum();
+        assert_eq!(sums.frames, frames);
+        assert!((sums.audio.occupancy.sum() - frames as f64).abs() < 1e-6);
+        let steps = (frames - utterances.len()) as f64;
+        assert!((sums.transition.sum() - steps).abs() < 1e-6);
+        let all = expect(&parameters, &utterances[..]).unwrap().per_frame();
+        assert!(sums.per_frame() <= all + 1e-9, "one path is likelier than all");
+        assert!(
+            sums.per_frame() > last - 1e-3,
+            "{} after {last}",
+            sums.per_frame()
+        );
+        last = sums.per_frame();
+        maximise(&mut parameters, &sums, &audio, visual.as_ref());
+    }
+    let path = expect(&parameters, &utterances[..]).unwrap();
+    maximise(&mut parameters, &path, &audio, visual.as_ref());
+    let after = expect(&parameters, &utterances[..]).unwrap();
+    assert!(after.per_frame() > path.per_frame());
 }
 
 #[test]

@@ -54,6 +54,21 @@ impl Draws {
             exchanged: (0..resamples).map(|_| coins(&mut rng)).collect(),
         }
     }
+
+    /// A number that follows from something of each of `clips`, in the order of the draws, with its 95 % interval.
+    pub fn interval<T>(&self, clips: &[T], metric: impl Fn(&mut dyn Iterator<Item = &T>) -> f64) -> Interval {
+        let drawn = self.clips.iter();
+        let (low, high) = middle(
+            drawn
+                .map(|row| metric(&mut row.iter().map(|&c| &clips[c])))
+                .collect(),
+        );
+        Interval {
+            value: metric(&mut clips.iter()),
+            low,
+            high,
+        }
+    }
 }
 
 /// A system's score on every clip, and on every resample.

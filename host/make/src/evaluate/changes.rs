@@ -1,8 +1,9 @@
 //! How often the mouth's class changes in speech: the likeliest viseme of each frame, and the cues that an animator gets.
 use ndarray::{ArrayView1, ArrayView2};
 
+use super::spoken;
 use crate::error::{Error, Result};
-use crate::features::Clip;
+use crate::features::PhoneLabel;
 use crate::train::data;
 use lipstream::cues;
 
@@ -14,19 +15,6 @@ pub struct Changes {
     seconds: f64,
 }
 
-/// From the first to the last labelled phone that is no silence, in seconds; the whole clip without labels.
-fn speech(clip: &Clip, seconds: f64) -> (f64, f64) {
-    let labels = match (clip.phones.is_empty(), clip.words.is_empty()) {
-        (true, true) => return (0.0, seconds),
-        _ => data::timed_phones(clip),
-    };
-    let spoken = || labels.iter().filter(|l| l.phone != "sil" && l.phone != "sp");
-    match (spoken().next(), spoken().next_back()) {
-        (Some(first), Some(last)) => (f64::from(first.start), f64::from(last.end).min(seconds)),
-        _ => (0.0, seconds),
-    }
-}
-
 fn likeliest(row: ArrayView1<f32>) -> usize {
     (0..row.len())
         .max_by(|&a, &b| row[a].total_cmp(&row[b]))
@@ -34,9 +22,9 @@ fn likeliest(row: ArrayView1<f32>) -> usize {
 }
 
 impl Changes {
-    /// Of one clip's viseme weights, `[frames, 13]`.
-    pub fn of(weights: ArrayView2<f32>, clip: &Clip, seconds: f64) -> Result<Self> {
-        let (from, to) = speech(clip, seconds);
+    /// Of one clip's viseme weights, `[frames, 13]`, from the first to the last of its phones.
+    pub fn of(weights: ArrayView2<f32>, phones: &[PhoneLabel], seconds: f64) -> Result<Self> {
+        let (from, to) = spoken::span(phones, seconds);
         let inside = |time: f64| from < time && time < to;
         let path: Vec<usize> = weights.outer_iter().map(likeliest).collect();
         let visemes = (1..path.len())
@@ -71,7 +59,6 @@ impl Changes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{PhonesFrom, Split, Word};
     use lipstream::phones::VISEMES;
     use ndarray::Array2;
 
@@ -81,27 +68,22 @@ mod tests {
         let weights = Array2::from_shape_fn((296, VISEMES.len()), |(t, v)| {
             if v == [1, 9, 3][t / 20 % 3] { 1.0 } else { 0.0 }
         });
-        let mut clip = Clip {
-            id: "a".into(),
-            speaker: "s".into(),
-            split: Split::Test,
-            audio_frames: 296,
-            video_frames: 75,
-            phones_from: PhonesFrom::Labels,
-            video_hz: 25.0,
-            words: vec![Word {
-                text: "bin".into(),
-                pronunciations: vec![vec!["b".into(), "ih".into(), "n".into()]],
-                time: Some((0.5, 2.5)),
-            }],
-            phones: Vec::new(),
+        let label = |phone: &str, start, end| PhoneLabel {
+            phone: phone.into(),
+            start,
+            end,
         };
+        let phones = [
+            label("sil", 0.0, 0.5),
+            label("b", 0.5, 1.5),
+            label("ih", 1.5, 2.5),
+            label("sil", 2.5, 2.9),
+        ];
         // Borders between 0.5 and 2.5 s: those at frames 60, 80, … 240.
-        let found = Changes::of(weights.view(), &clip, 2.975).unwrap();
+        let found = Changes::of(weights.view(), &phones, 2.975).unwrap();
         assert_eq!((found.visemes, found.cues), (10, 10));
         assert!((found.visemes_per_second() - 5.0).abs() < 1e-6);
-        clip.words.clear();
-        let found = Changes::of(weights.view(), &clip, 2.975).unwrap();
+        let found = Changes::of(weights.view(), &[], 2.975).unwrap();
         assert_eq!(found.visemes, 14);
         let mut twice = found;
         twice.add(found);

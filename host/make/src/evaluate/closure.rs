@@ -6,8 +6,8 @@
 //! weights.
 //!
 //! Closed is a gap below 5 % of the mouth's width. Precision: of the frames shown closed, those that are. Recall: of the closed
-//! frames, those shown so. Both over all frames (where silence counts for much) and within 50 ms of the labels of
-//! p, b, m. A bilabial is kept if the true mouth closes in that span and the predicted one does too.
+//! frames, those shown so. Both over all frames (where silence counts for much) and near p, b, m: from 20 ms before to 20 ms
+//! after their labels, or after where they are aligned with the sound.
 use std::collections::HashMap;
 
 use nalgebra::{DMatrix, DVector};
@@ -15,9 +15,10 @@ use ndarray::{Array1, Array2, Array4, ArrayView2, Axis, s};
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::bootstrap::{Draws, Interval};
 use super::metrics::Score;
 use crate::error::{Context as _, Error, Result, bail};
-use crate::features::{Clip, FeatureFolder, Split, read_mouths};
+use crate::features::{Clip, FeatureFolder, PhoneLabel, Split, read_mouths};
 use crate::train::data;
 use lipstream::lips::{IMAGES, Lips};
 use lipstream::phones::Phone;
@@ -26,8 +27,8 @@ use lipstream::phones::Phone;
 const CLIPS: usize = 120;
 /// Penalty of the read-out, on weights scaled to variance one.
 const PENALTY: f64 = 10.0;
-/// Labels' borders are no better than this, in seconds.
-const MARGIN_S: f32 = 0.05;
+/// Half a picture, in seconds: a label's border lies between two pictures.
+const MARGIN_S: f32 = 0.02;
 
 /// What is known of a folder's mouths: the lips of each speaker, and the gap as a function of the weights.
 pub struct Gaps {
@@ -67,15 +68,13 @@ pub struct Row {
     /// Mean gap less the true one, in pixels.
     pub bias_px: f64,
     /// Share of the frames shown closed that are closed, 0 to 1; 0 where none is shown closed.
-    pub precision: f64,
+    pub precision: Interval,
     /// Share of the closed frames that are shown closed, 0 to 1; 0 where none is closed.
-    pub recall: f64,
-    /// Precision within 50 ms of the labels of p, b, m.
-    pub precision_at_bilabials: f64,
-    /// Recall within 50 ms of the labels of p, b, m.
-    pub recall_at_bilabials: f64,
-    /// Share of the true closures at p, b, m that are kept.
-    pub bilabials_kept: f64,
+    pub recall: Interval,
+    /// Precision near p, b, m.
+    pub precision_at_bilabials: Interval,
+    /// Recall near p, b, m.
+    pub recall_at_bilabials: Interval,
 }
 
 impl Gaps {
@@ -111,19 +110,24 @@ impl Gaps {
         (weights.dot(&self.weights) + self.offset).to_vec()
     }
 
-    /// The true gaps of a clip, from its images.
-    pub fn truth(&self, folder: &FeatureFolder, clip: &Clip) -> Result<TrueGap> {
+    /// The true gaps of a clip whose phones are `phones`, from its images.
+    pub fn truth(&self, folder: &FeatureFolder, clip: &Clip, phones: &[PhoneLabel]) -> Result<TrueGap> {
         let gaps = Array2::from_shape_vec((clip.video_frames, 1), image_gaps(folder, clip, &self.lips)?)?;
         let gap = data::to_audio_rate(gaps.view(), clip.video_hz, clip.audio_frames);
         Ok(TrueGap {
             gap: gap.iter().copied().collect(),
             closed_below: self.lips[&clip.speaker].closed_below(),
-            bilabials: bilabials(clip),
+            bilabials: bilabials(phones, clip.audio_frames, MARGIN_S),
         })
     }
 }
 
 impl TrueGap {
+    /// A smaller gap is a closed mouth, in pixels.
+    pub fn closed_below(&self) -> f32 {
+        self.closed_below
+    }
+
     /// In pixels, 100 a second.
     pub fn gap(&self) -> &[f32] {
         &self.gap
@@ -238,26 +242,26 @@ fn fit(pairs: &[(Array2<f32>, Vec<f32>)]) -> Result<(Array1<f32>, f32)> {
     Ok((weights, offset as f32))
 }
 
-/// Frames within [`MARGIN_S`] of each p, b, m.
-pub(super) fn bilabials(clip: &Clip) -> Vec<std::ops::Range<usize>> {
+/// Frames within `margin_s` of each p, b, m.
+pub(super) fn bilabials(phones: &[PhoneLabel], frames: usize, margin_s: f32) -> Vec<std::ops::Range<usize>> {
     let viseme = Phone::from_name("p").map(Phone::viseme);
-    data::timed_phones(clip)
+    phones
         .iter()
         .filter(|label| Phone::from_name(&label.phone).map(Phone::viseme) == viseme)
         .map(|label| {
             let frame = |time: f32| {
-                (0..clip.audio_frames)
+                (0..frames)
                     .position(|t| data::frame_time(t) >= time)
-                    .unwrap_or(clip.audio_frames)
+                    .unwrap_or(frames)
             };
-            frame(label.start - MARGIN_S)..frame(label.end + MARGIN_S)
+            frame(label.start - margin_s)..frame(label.end + margin_s)
         })
         .filter(|span| !span.is_empty())
         .collect()
 }
 
 /// Counts of closed frames.
-#[derive(Default)]
+#[derive(Clone, Copy, Default)]
 struct Counts {
     both: f64,
     shown: f64,
@@ -269,6 +273,15 @@ impl Counts {
         self.both += f64::from(u8::from(shown && real));
         self.shown += f64::from(u8::from(shown));
         self.real += f64::from(u8::from(real));
+    }
+
+    fn of_all(clips: &mut dyn Iterator<Item = &Counts>) -> Self {
+        clips.fold(Self::default(), |mut sum, clip| {
+            sum.both += clip.both;
+            sum.shown += clip.shown;
+            sum.real += clip.real;
+            sum
+        })
     }
 
     /// 0 where nothing is shown closed.
@@ -289,13 +302,13 @@ impl Counts {
     }
 }
 
-/// Judges the gaps of one system, one row of `said` a clip.
-pub fn judge(name: &str, truths: &[TrueGap], said: &[Vec<f32>]) -> Row {
-    let (mut all, mut near) = (Counts::default(), Counts::default());
+/// Judges the gaps of one system, one row of `said` a clip; intervals by `draws` of these clips.
+pub fn judge(name: &str, truths: &[TrueGap], said: &[Vec<f32>], draws: &Draws) -> Row {
+    let (mut all_of_clips, mut near_of_clips) = (Vec::new(), Vec::new());
     let mut score = Score::new(1);
-    let (mut kept, mut closed) = (0.0, 0.0);
     let (mut bias, mut frames) = (0.0, 0.0);
     for (truth, said) in truths.iter().zip(said) {
+        let (mut all, mut near) = (Counts::default(), Counts::default());
         let is_closed = |gap: f32| gap < truth.closed_below;
         let column = |values: &[f32]| ArrayView2::from_shape((values.len(), 1), values).map(|v| v.to_owned());
         if let (Ok(real), Ok(shown)) = (column(&truth.gap), column(said)) {
@@ -311,25 +324,25 @@ pub fn judge(name: &str, truths: &[TrueGap], said: &[Vec<f32>]) -> Row {
         let mut is_near = vec![false; length];
         for span in &truth.bilabials {
             let span = span.start.min(length)..span.end.min(length);
-            is_near[span.clone()].fill(true);
-            if truth.gap[span.clone()].iter().any(|g| is_closed(*g)) {
-                closed += 1.0;
-                kept += f64::from(u8::from(said[span].iter().any(|g| is_closed(*g))));
-            }
+            is_near[span].fill(true);
         }
         for t in (0..length).filter(|&t| is_near[t]) {
             near.add(is_closed(said[t]), is_closed(truth.gap[t]));
         }
+        all_of_clips.push(all);
+        near_of_clips.push(near);
     }
+    let interval = |clips: &[Counts], share: fn(&Counts) -> f64| {
+        draws.interval(clips, |drawn| share(&Counts::of_all(drawn)))
+    };
     Row {
         name: name.to_owned(),
         correlation: score.acc(),
         bias_px: bias / f64::max(frames, 1.0),
-        precision: all.precision(),
-        recall: all.recall(),
-        precision_at_bilabials: near.precision(),
-        recall_at_bilabials: near.recall(),
-        bilabials_kept: kept / f64::max(closed, 1.0),
+        precision: interval(&all_of_clips, Counts::precision),
+        recall: interval(&all_of_clips, Counts::recall),
+        precision_at_bilabials: interval(&near_of_clips, Counts::precision),
+        recall_at_bilabials: interval(&near_of_clips, Counts::recall),
     }
 }
 
@@ -356,7 +369,6 @@ pub fn summary(truths: &[TrueGap]) -> Closure {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::{PhoneLabel, PhonesFrom};
     use lipstream::render::drawn;
     use ndarray::array;
 
@@ -372,32 +384,45 @@ mod tests {
     fn counted_by_hand() {
         // Closed in frames 0, 1, 4, 5; bilabials at 1..3 and 4..6; the second is missed.
         let truths = [truth(&[0.0, 0.5, 3.0, 3.0, 0.0, 0.5], vec![1..3, 4..6])];
-        let row = judge("x", &truths, &[vec![0.0, 0.0, 0.9, 5.0, 2.0, 2.0]]);
-        assert!((row.precision - 2.0 / 3.0).abs() < 1e-9 && (row.recall - 0.5).abs() < 1e-9);
-        assert!((row.precision_at_bilabials - 0.5).abs() < 1e-9);
-        assert!((row.recall_at_bilabials - 1.0 / 3.0).abs() < 1e-9);
-        assert!((row.bilabials_kept - 0.5).abs() < 1e-9);
+        let draws = Draws::new(1, 100, 1);
+        let row = judge("x", &truths, &[vec![0.0, 0.0, 0.9, 5.0, 2.0, 2.0]], &draws);
+        let is = |i: Interval, want: f64| (i.value - want).abs() < 1e-9;
+        assert!(is(row.precision, 2.0 / 3.0) && is(row.recall, 0.5));
+        assert!(is(row.precision_at_bilabials, 0.5) && is(row.recall_at_bilabials, 1.0 / 3.0));
         assert!((row.bias_px - 2.9 / 6.0).abs() < 1e-6);
         let whole = summary(&truths);
         assert_eq!((whole.bilabials, whole.bilabials_closed), (2, 2));
         assert!((whole.closed_share - 4.0 / 6.0).abs() < 1e-9);
     }
 
+    /// One clip is kept whole, another missed whole: an interval over clips goes from nothing to everything.
+    #[test]
+    fn intervals_are_over_clips() {
+        let clip = || truth(&[0.0, 3.0], std::iter::once(0..2).collect());
+        let draws = Draws::new(2, 1000, 1);
+        let row = judge("x", &[clip(), clip()], &[vec![0.0, 3.0], vec![3.0, 3.0]], &draws);
+        let recall = row.recall_at_bilabials;
+        assert_eq!((recall.low, recall.value, recall.high), (0.0, 0.5, 1.0));
+    }
+
     #[test]
     fn a_mouth_that_never_closes_has_no_precision() {
+        let draws = Draws::new(1, 100, 1);
         let row = judge(
             "x",
             &[truth(&[0.0, 2.0], std::iter::once(0..2).collect())],
             &[vec![5.0, 5.0]],
+            &draws,
         );
-        assert_eq!((row.precision, row.recall, row.bilabials_kept), (0.0, 0.0, 0.0));
+        assert_eq!((row.precision.value, row.recall.value), (0.0, 0.0));
         // A prediction that ends early is judged as far as it goes.
         let row = judge(
             "x",
             &[truth(&[0.0, 2.0, 0.0], std::iter::once(0..3).collect())],
             &[vec![0.0]],
+            &draws,
         );
-        assert_eq!((row.precision, row.recall, row.bilabials_kept), (1.0, 1.0, 1.0));
+        assert_eq!((row.precision.value, row.recall.value), (1.0, 1.0));
     }
 
     #[test]
@@ -407,23 +432,13 @@ mod tests {
             start,
             end,
         };
-        let clip = Clip {
-            id: "a".into(),
-            speaker: "s".into(),
-            split: Split::Test,
-            audio_frames: 100,
-            video_frames: 25,
-            phones_from: PhonesFrom::Labels,
-            video_hz: 25.0,
-            words: Vec::new(),
-            phones: vec![
-                label("b", 0.3, 0.35),
-                label("iy", 0.35, 0.8),
-                label("m", 0.97, 1.2),
-            ],
-        };
+        let phones = [
+            label("b", 0.3, 0.35),
+            label("iy", 0.35, 0.8),
+            label("m", 0.97, 1.2),
+        ];
         // Frame t is centred on 0.0125 + t/100 s.
-        assert_eq!(bilabials(&clip), [24..39, 91..100]);
+        assert_eq!(bilabials(&phones, 100, MARGIN_S), [27..36, 94..100]);
     }
 
     /// Drawn mouths: the read-out of their weights follows the gap that was drawn.

@@ -88,7 +88,7 @@ pub fn curves<'a>(
         };
         let refit = match system.speech {
             Speech::LocalLinear => Some(Refit::new(folder, &model.phones, progress)?),
-            Speech::Means | Speech::Viterbi => None,
+            Speech::Means | Speech::Posterior | Speech::Viterbi => None,
         };
         for wait in LOOK_AHEADS.map(Wait::of) {
             let ms = 10 * wait.frames as u32;
@@ -120,13 +120,19 @@ pub fn of_mge<'a>(model: &'a RecurrentModel, family: &str) -> Vec<Candidate<'a>>
 
 fn by_means<'a>(name: String, system: System, model: &Model, wait: Wait) -> Candidate<'a> {
     let inverter = Inverter::new(Hmm::of_model(model));
-    let settings = model.conversion;
+    let (settings, posterior_scale) = (model.conversion, model.posterior_scale);
     Candidate::new(name, Some(10 * wait.frames as u32), move |heard: &Heard| {
         let observations = wait.heard(&heard.observations);
         let parameters = match system.speech {
             Speech::Viterbi => inverter
                 .best_path_within(&observations, settings.acoustic_scale, wait.lag)
                 .map_err(Error::other)?,
+            Speech::Posterior => {
+                inverter
+                    .posterior_mean(&observations, posterior_scale, Lag::Frames(wait.lag))
+                    .map_err(Error::other)?
+                    .0
+            }
             _ => inverter
                 .convert_within(&observations, &settings, wait.lag)
                 .map_err(Error::other)?,

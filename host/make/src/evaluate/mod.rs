@@ -2,6 +2,7 @@
 pub mod bootstrap;
 pub mod candidate;
 pub mod changes;
+mod clip_means;
 pub mod closure;
 pub mod cold;
 pub mod exchange;
@@ -14,6 +15,7 @@ pub mod pictures;
 pub mod plot;
 pub mod report;
 pub mod ridge;
+mod spoken;
 pub mod strangers;
 pub mod systems;
 pub mod tables;

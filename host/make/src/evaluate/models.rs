@@ -109,7 +109,7 @@ fn device<'a>(name: &str, ahead: Option<u32>, tables: Vec<u8>, with: RunSettings
 }
 
 /// Refuses a model of another number of mouth parameters than the folder's.
-fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
+pub(super) fn speaks_as_many(folder: &FeatureFolder, size: usize) -> Result<()> {
     ensure!(
         size == folder.manifest.visual_size,
         Choice,

@@ -84,6 +84,8 @@ pub struct Report {
     pub noise: Vec<NoiseCondition>,
     /// Streams that begin in mid-clip, where they were measured.
     pub cold_starts: Option<ColdStarts>,
+    /// How fast speech itself changes, to hold the systems' changes against.
+    pub rates: Rates,
     /// How well the mouths close, where it could be measured.
     pub closure: Option<Closure>,
     /// X&L figure 10, for systems that iterate.
@@ -111,12 +113,27 @@ pub struct System {
     pub acc_of_first_5: Interval,
     /// Of each parameter.
     pub correlations: Vec<f64>,
+    /// AMSE and ACC with the clips' means left in; `None` where they are not known.
+    pub with_clip_means: Option<[Interval; 2]>,
     /// This system less the reference; `None` for the reference itself.
     pub against_reference: Option<Against>,
     /// In speech, by the labels: how often the likeliest viseme changes, and how often a drawn mouth shape (`cues`) does.
     pub viseme_changes_per_second: Option<f64>,
     /// Cues that begin in a second of speech; `None` for a system without visemes.
     pub cue_changes_per_second: Option<f64>,
+    /// How often in a second of speech the lip gap turns between opening and closing, where it could be measured.
+    pub gap_turns_per_second: Option<f64>,
+}
+
+/// Changes in a second of speech.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct Rates {
+    /// Of the viseme, as the phones' labels (or their alignment) have it.
+    pub label_visemes: f64,
+    /// Of the shape that `cues` draws, if each label were shown for as long as it lasts.
+    pub label_cues: f64,
+    /// Turns of the true mouth's lip gap, where it could be measured.
+    pub true_gap_turns: Option<f64>,
 }
 
 /// Differences from the reference on the same clips.

@@ -15,10 +15,14 @@ use lipstream::kinds::likelihood::inversion::Inverter;
 use lipstream::kinds::likelihood::{EmSettings, Model};
 use lipstream::progress::Progress;
 
-/// Systems by name, separated by commas; `all` are all of them.
+/// Systems by name, separated by commas; `all` are the paper's HMMs in every way of speaking, `variants` those of other HMMs.
 pub fn parse(names: &str) -> Result<Vec<System>> {
-    if names == "all" {
-        return Ok(SYSTEMS.to_vec());
+    if names == "all" || names == "variants" {
+        let variants = names == "variants";
+        return Ok(SYSTEMS
+            .into_iter()
+            .filter(|s| s.is_variant() == variants)
+            .collect());
     }
     let known = || SYSTEMS.map(|s| s.name).join(", ");
     names
@@ -26,13 +30,22 @@ pub fn parse(names: &str) -> Result<Vec<System>> {
         .map(|name| {
             System::from_name(name.trim()).ok_or_else(|| {
                 Error::Choice(format!(
-                    "unknown system {:?}; there are all, {}",
+                    "unknown system {:?}; there are all, variants, {}",
                     name.trim(),
                     known()
                 ))
             })
         })
         .collect()
+}
+
+/// A system that iterates, and beside it the posterior mean of the same HMM; another system alone.
+pub fn by_means(system: System) -> Vec<System> {
+    let posterior = SYSTEMS
+        .into_iter()
+        .find(|s| s.speech == Speech::Posterior && s.hmm() == system.hmm());
+    let beside = posterior.filter(|_| system.speech == Speech::Means);
+    std::iter::once(system).chain(beside).collect()
 }
 
 /// The models of `systems`, one for each HMM: read from `store` where they are, else trained and written there, so that
@@ -42,7 +55,6 @@ pub fn open_or_train(
     store: &Path,
     folder: &FeatureFolder,
     audio_only: &[FeatureFolder],
-    settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Vec<Model>> {
     std::fs::create_dir_all(store).with_context(|| format!("cannot create {}", store.display()))?;
@@ -65,11 +77,7 @@ pub fn open_or_train(
             );
             model
         } else {
-            let settings = TrainSettings {
-                system: hmm,
-                ..settings.clone()
-            };
-            let model = train::train(folder, audio_only, &settings, progress)?;
+            let model = train::train(folder, audio_only, &TrainSettings::of(hmm), progress)?;
             model.write(&path).map_err(Error::other)?;
             model
         };
@@ -102,6 +110,23 @@ pub fn candidates<'a>(systems: &[System], models: &'a [Model]) -> Result<Vec<Can
         .collect()
 }
 
+/// A likelihood-trained model under a name of its own, in its own way of speaking and, if that iterates, by the posterior mean
+/// too: the same system trained otherwise.
+pub fn also<'a>(name: &str, model: &'a Model, folder: &FeatureFolder) -> Result<Vec<Candidate<'a>>> {
+    super::models::speaks_as_many(folder, model.visual_size()).with_context(|| name.to_owned())?;
+    let ways = by_means(model.system).into_iter();
+    Ok(ways
+        .map(|system| {
+            let mut candidate = candidate(system, model);
+            candidate.name = match system == model.system {
+                true => name.to_owned(),
+                false => format!("{name}, posterior mean"),
+            };
+            candidate
+        })
+        .collect())
+}
+
 fn candidate(system: System, model: &Model) -> Candidate<'_> {
     match system.speech {
         Speech::LocalLinear => {
@@ -117,6 +142,18 @@ fn candidate(system: System, model: &Model) -> Candidate<'_> {
                 Ok(Prediction {
                     parameters: smooth(&said),
                     visemes: None,
+                })
+            })
+        }
+        Speech::Posterior => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            Candidate::new(system.name, None, move |heard: &Heard| {
+                let (said, occupancy) = inverter
+                    .posterior_mean(&heard.observations, model.posterior_scale, Lag::Whole)
+                    .map_err(Error::other)?;
+                Ok(Prediction {
+                    parameters: smooth(&said),
+                    visemes: Some(viseme_weights(model, &occupancy)),
                 })
             })
         }
@@ -163,7 +200,9 @@ mod tests {
 
     #[test]
     fn names_are_known_or_refused_in_words() {
-        assert_eq!(parse("all").unwrap().len(), SYSTEMS.len());
+        let (all, variants) = (parse("all").unwrap(), parse("variants").unwrap());
+        assert_eq!((all.len(), variants.len()), (16, 10));
+        assert_eq!(all.len() + variants.len(), SYSTEMS.len());
         assert_eq!(parse("ph-hmm, viterbi").unwrap().len(), 2);
         let error = parse("ph-hmm,gru").unwrap_err().to_string();
         assert!(

@@ -46,6 +46,7 @@ pub fn tables(report: &Report) -> Vec<Table> {
     let wanted = [
         Some(scores(report)),
         against(report),
+        with_clip_means(report),
         closure(report),
         changes(report),
         look_ahead(report),
@@ -112,14 +113,37 @@ fn against(report: &Report) -> Option<Table> {
     (!table.rows.is_empty()).then_some(table)
 }
 
+fn with_clip_means(report: &Report) -> Option<Table> {
+    let mut table = Table::new(
+        "Scores with the clips' means left in",
+        "Features have the mean of their clip taken off, the pose in which it was recorded, and so have the scores above. Here it is put back to the \
+         truth, while every system says its speaker's mean over training clips beside its own motion.",
+        &["system", "AMSE", "of the first row's", "ACC"],
+    );
+    let with = |n: usize| report.systems.get(n).and_then(|s| s.with_clip_means);
+    let first = with(0).map_or(1.0, |[amse, _]| amse.value);
+    for system in &report.systems {
+        if let Some([amse, acc]) = &system.with_clip_means {
+            table.rows.push(vec![
+                system.name.clone(),
+                interval(amse, 1),
+                format!("{:.3}", amse.value / first),
+                interval(acc, 3),
+            ]);
+        }
+    }
+    (!table.rows.is_empty()).then_some(table)
+}
+
 fn closure(report: &Report) -> Option<Table> {
     let closure = report.closure.as_ref()?;
     let mut table = Table::new(
         "Closure",
         format!(
             "The gap between the inner lips, in pixels of the mouth images: the true one measured on them, a prediction's read out of its weights. \
-             Closed is a gap below 5 % of the mouth's width: {:.3} of the frames. The labels have {} p, b, m, and the mouth closes within 50 ms of {} of \
-             them; kept: the prediction closes there too.",
+             Closed is a gap below 5 % of the mouth's width: {:.3} of the frames. Precision and recall count frames, over all clips and near p, b, m: \
+             from 20 ms before to 20 ms after their labels, or after where they are aligned with the sound. There are {} of them, and the true mouth \
+             closes at {}.",
             closure.closed_share, closure.bilabials, closure.bilabials_closed
         ),
         &[
@@ -130,7 +154,6 @@ fn closure(report: &Report) -> Option<Table> {
             "recall",
             "precision near p b m",
             "recall near p b m",
-            "closures of p b m kept",
         ],
     );
     for row in &closure.systems {
@@ -139,14 +162,13 @@ fn closure(report: &Report) -> Option<Table> {
             row.recall,
             row.precision_at_bilabials,
             row.recall_at_bilabials,
-            row.bilabials_kept,
         ];
         let mut cells = vec![
             row.name.clone(),
             format!("{:.3}", row.correlation),
             format!("{:+.2}", row.bias_px),
         ];
-        cells.extend(numbers.map(|v| format!("{v:.3}")));
+        cells.extend(numbers.map(|v| interval(&v, 3)));
         table.rows.push(cells);
     }
     Some(table)
@@ -155,18 +177,32 @@ fn closure(report: &Report) -> Option<Table> {
 fn changes(report: &Report) -> Option<Table> {
     let mut table = Table::new(
         "Changes per second of speech",
-        "From the first to the last labelled phone: the likeliest viseme of each frame, and the mouth shapes of `lipstream cues`.",
-        &["system", "likeliest viseme", "cues"],
+        "From the first to the last labelled phone: the likeliest viseme of each frame, the mouth shapes of `lipstream cues`, and how often the lip \
+         gap turns between opening and closing by more than what counts as open. The first rows are what speech itself does: its labels (or their \
+         alignment with the sound), and the true mouth.",
+        &["system", "likeliest viseme", "cues", "turns of the gap"],
     );
+    let cell = |rate: Option<f64>| rate.map_or("–".to_owned(), |rate| format!("{rate:.2}"));
+    let mut row = |name: &str, rates: [Option<f64>; 3]| {
+        let mut cells = vec![name.to_owned()];
+        cells.extend(rates.map(cell));
+        table.rows.push(cells);
+    };
+    let rates = &report.rates;
+    row(
+        "the labels",
+        [Some(rates.label_visemes), Some(rates.label_cues), None],
+    );
+    row("the true mouth", [None, None, rates.true_gap_turns]);
     for system in &report.systems {
-        if let (Some(visemes), Some(cues)) = (system.viseme_changes_per_second, system.cue_changes_per_second)
-        {
-            table.rows.push(vec![
-                system.name.clone(),
-                format!("{visemes:.2}"),
-                format!("{cues:.2}"),
-            ]);
-        }
+        row(
+            &system.name,
+            [
+                system.viseme_changes_per_second,
+                system.cue_changes_per_second,
+                system.gap_turns_per_second,
+            ],
+        );
     }
     (!table.rows.is_empty()).then_some(table)
 }

@@ -21,6 +21,9 @@ use crate::error::{Error, Result, bail};
 use crate::features::{Clip, FeatureFolder, PhonesFrom, Split};
 use crate::train::data::frame_time;
 
+/// Lips that meet so near the label do so for it: what a listener who watches forgives.
+const MARGIN_S: f32 = 0.05;
+
 /// What was counted of one speaker, or of several.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Counts {
@@ -139,7 +142,7 @@ fn count(clip: &Clip, closed: &[bool], visemes: &[usize]) -> Counts {
         clips: 1,
         ..Counts::default()
     };
-    for span in bilabials(clip) {
+    for span in bilabials(&clip.phones, clip.audio_frames, MARGIN_S) {
         let span = span.start.min(frames)..span.end.min(frames);
         near[span.clone()].fill(true);
         counts.bilabials += 1;

@@ -4,12 +4,11 @@ use ndarray::{Array3, Axis};
 
 use super::TrainSettings;
 use super::data::{Clips, Observed};
-use super::em::{Aligned, Coupled, Learnt, passes, split_audio};
+use super::em::{Aligned, Coupled, Learnt, passes};
 use crate::em::{Parameters, Start};
 use crate::error::Result;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::hmm::mixtures::Mixtures;
-use lipstream::hmm::system::Density;
 use lipstream::hmm::topology::VisualAtom;
 use lipstream::progress::Progress;
 
@@ -55,13 +54,14 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
     let (_, k, size) = visual.mean.dim();
     let frames = &coupled.aligned.visual_frames;
     for (p, phone) in parameters.phones.iter().enumerate().filter(|(p, _)| !seen[*p]) {
-        for j in 0..N_EMITTING {
+        let states = parameters.topology.states_of_atom();
+        for j in 0..states {
             let (mut n, mut first, mut second) = (0.0, vec![0.0; size], vec![0.0; size]);
             for (q, other) in parameters.phones.iter().enumerate() {
                 if !seen[q] || other.viseme() != phone.viseme() {
                     continue;
                 }
-                let from = N_EMITTING * q + j;
+                let from = states * q + j;
                 for k in 0..k {
                     let share = frames[from] * f64::from(visual.log_weight[[from, k]]).exp();
                     n += share;
@@ -75,7 +75,7 @@ pub(super) fn look_of_viseme(coupled: &mut Coupled, seen: &[bool]) {
             if n < 1.0 {
                 continue;
             }
-            let to = N_EMITTING * p + j;
+            let to = states * p + j;
             for i in 0..size {
                 let mean = first[i] / n;
                 visual.mean[[to, 0, i]] = mean as f32;
@@ -102,32 +102,24 @@ pub(super) fn all_speakers<'a>(
     Ok((start, clips))
 }
 
-/// The audio HMM alone. Where densities are joint its components stay those of the mouth: they are trained on, not grown
-/// anew.
+/// The audio HMM alone: the components that the clips with video have grown are kept and re-estimated on everybody, in every
+/// system alike. Grown anew they would follow the speakers and no longer the talker's own contexts, which the mouth
+/// follows; where densities are joint they are the mouth's components besides.
 pub(super) fn retrain(
     before: &Parameters,
     seen: &[bool],
-    density: Density,
     (start, clips): (Start, Clips),
     settings: &TrainSettings,
     progress: &dyn Progress,
 ) -> Result<Mixtures> {
     let (mut parameters, floors, _) = start.finish();
-    let components = before.audio.mean.dim().1;
-    if density == Density::Joint {
-        parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
-    }
+    parameters.audio = keep_components(&before.audio, &parameters.audio, seen);
     let learnt = Learnt {
         audio: Some(floors),
         visual: None,
     };
-    loop {
-        let sums = passes(&mut parameters, &clips, &learnt, settings, progress)?;
-        if parameters.audio.mean.dim().1 >= components {
-            return Ok(parameters.audio);
-        }
-        split_audio(&mut parameters, &sums);
-    }
+    passes(&mut parameters, &clips, &learnt, settings, progress)?;
+    Ok(parameters.audio)
 }
 
 /// `grown` where the video had the phone, else one component from the single Gaussians of `single`.

@@ -1,16 +1,14 @@
-//! The first stage (X&L section 3.4): joint EM on sound and video, mixtures grown by splitting while the validation
-//! clips grow likelier.
+//! The first stage (X&L section 3.4): joint EM on sound and video.
 use std::time::Instant;
 
 use ndarray::{Array3, s};
-use rand::SeedableRng;
-use rand_pcg::Pcg64;
 
 use super::TrainSettings;
 use super::bigram::{self, Said};
 use super::data::{Clips, Observed, stacked};
+use super::grow::grow;
 use super::state::State;
-use crate::em::density::{self, Floors};
+use crate::em::density::Floors;
 use crate::em::source::{Source, in_order};
 use crate::em::{self, Aligner, Parameters};
 use crate::error::{Error, Result, bail};
@@ -20,9 +18,6 @@ use lipstream::hmm::system::{Density, System};
 use lipstream::hmm::topology::Topology;
 use lipstream::phones::Phone;
 use lipstream::progress::Progress;
-
-/// Frames that a component must have before it is split.
-pub(super) const ENOUGH_TO_SPLIT: f64 = 30.0;
 
 /// What the first stage leaves.
 pub(super) struct Coupled {
@@ -61,7 +56,14 @@ pub(super) fn coupled(
 ) -> Result<Coupled> {
     let observed = observed(system);
     let (train_on, judge_on) = (train.observed(observed), validation.observed(observed));
-    let (start, audio, visual) = em::start(&train_on, system.topology, phones)?;
+    let (mut start, audio, visual) = em::start(&train_on, system.topology, phones)?;
+    if settings.viterbi_start {
+        for _ in 0..settings.iterations.max(1) {
+            let sums = em::expect_by_best_path(&start, &train_on)?;
+            em::maximise(&mut start, &sums, &audio, visual.as_ref());
+            progress.say(&format!("  by the best path: {:.4} a frame", sums.per_frame()));
+        }
+    }
     let learnt = Learnt {
         audio: Some(audio),
         visual,
@@ -181,51 +183,6 @@ fn part(parameters: &mut Parameters, audio_size: usize) {
     let (audio, visual) = (part(0, audio_size), part(audio_size, end));
     parameters.audio = audio;
     parameters.visual = Some(visual);
-}
-
-/// Grows mixtures by splitting, with EM passes in between; prints the log likelihood of each. The numbers of components
-/// are those under which the validation clips are likeliest, at most what the settings allow.
-fn grow(
-    mut parameters: Parameters,
-    learnt: &Learnt,
-    train: &Clips,
-    validation: &Clips,
-    settings: &TrainSettings,
-    progress: &dyn Progress,
-) -> Result<Parameters> {
-    let mut signs = (settings.seed != 0).then(|| Pcg64::seed_from_u64(settings.seed));
-    let mut best: Option<(f64, Parameters)> = None;
-    loop {
-        let sums = passes(&mut parameters, train, learnt, settings, progress)?;
-        if !validation.is_empty() {
-            let unseen = em::expect(&parameters, validation)?.per_frame();
-            progress.say(&format!("  validation clips: {unseen:.4} a frame"));
-            match &best {
-                Some((likeliest, before)) if unseen <= *likeliest => return Ok(before.clone()),
-                _ => best = Some((unseen, parameters.clone())),
-            }
-        }
-        let audio_more = learnt.audio.is_some() && parameters.audio.mean.dim().1 < settings.audio_mixtures;
-        if audio_more {
-            parameters.audio =
-                density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, signs.as_mut());
-        }
-        let mut visual_more = false;
-        if let (Some(visual), Some(sums)) = (&parameters.visual, &sums.visual)
-            && visual.mean.dim().1 < settings.visual_mixtures
-        {
-            visual_more = true;
-            parameters.visual = Some(density::split(visual, sums, ENOUGH_TO_SPLIT, signs.as_mut()));
-        }
-        if !audio_more && !visual_more {
-            return Ok(parameters);
-        }
-    }
-}
-
-/// Splits the audio components of an audio HMM once more.
-pub(super) fn split_audio(parameters: &mut Parameters, sums: &em::Sums) {
-    parameters.audio = density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, None);
 }
 
 /// A stage of EM passes; returns the sums of the last one. What an interrupted run has kept is taken up.

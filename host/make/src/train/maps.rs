@@ -48,43 +48,65 @@ pub(crate) fn maps(
     let size = hmm.visual.mean.dim().2;
     let new_sums = || MapSums::new(settings.context, size, hmm.n_visual_states());
     let lag = Lag::Frames(settings.lag);
-    let mut best: Option<(f64, Following, LocalLinear)> = None;
-    for &acoustic_scale in &settings.acoustic_scales {
-        let follower = Follower::new(hmm, acoustic_scale);
-        let occupancy = |u: &Utterance| follower.occupancies(&u.audio, lag).map(|(_, visual)| visual);
-        let mut sums = new_sums();
-        let sums_of = |chunk: usize| {
-            let mut sums = new_sums();
-            for n in CHUNK * chunk..(CHUNK * (chunk + 1)).min(train.len()) {
-                let u = train.get(n)?;
-                sums.add(&project(&u), visual(&u)?, &occupancy(&u).map_err(Error::other)?);
-            }
-            Ok(sums)
+    let scales = &settings.acoustic_scales;
+    let followers: Vec<Follower> = scales.iter().map(|&scale| Follower::new(hmm, scale)).collect();
+    // Densities are evaluated once for all scales.
+    let occupancies = |u: &Utterance| -> Result<Vec<Array2<f32>>> {
+        let log = match followers.first() {
+            Some(follower) => follower.log_likelihoods(&u.audio),
+            None => return Ok(Vec::new()),
         };
-        in_order(train.len().div_ceil(CHUNK), sums_of, |part| {
-            sums.merge(&part);
-            Ok(())
-        })?;
+        let of = followers
+            .iter()
+            .map(|follower| follower.occupancies_of(&log, lag));
+        of.map(|both| both.map(|(_, visual)| visual).map_err(Error::other))
+            .collect()
+    };
+    let mut sums: Vec<MapSums> = scales.iter().map(|_| new_sums()).collect();
+    let sums_of = |chunk: usize| {
+        let mut sums: Vec<MapSums> = scales.iter().map(|_| new_sums()).collect();
+        for n in CHUNK * chunk..(CHUNK * (chunk + 1)).min(train.len()) {
+            let u = train.get(n)?;
+            let x = project(&u);
+            for (sums, occupancy) in sums.iter_mut().zip(occupancies(&u)?) {
+                sums.add(&x, visual(&u)?, &occupancy);
+            }
+        }
+        Ok(sums)
+    };
+    in_order(train.len().div_ceil(CHUNK), sums_of, |parts| {
+        sums.iter_mut()
+            .zip(&parts)
+            .for_each(|(sums, part)| sums.merge(part));
+        Ok(())
+    })?;
+    let fit = |sums: &MapSums| -> Result<Vec<LocalLinear>> {
         let penalties = settings.penalties.iter();
-        let fitted: Vec<LocalLinear> = penalties
-            .map(|penalty| sums.solve(1.0, *penalty))
-            .collect::<Result<_>>()?;
-        let mut scores = vec![Score::new(size); fitted.len()];
-        let said = |n: usize| {
-            let u = judges.get(n)?;
-            let (x, occupancy) = (project(&u), occupancy(&u).map_err(Error::other)?);
-            let said = fitted
-                .iter()
-                .map(|maps| smooth(&local_linear::apply(maps, &x, &occupancy)));
-            Ok((visual(&u)?.clone(), said.collect()))
-        };
-        in_order(judges.len(), said, |(truth, said): (_, Vec<Array2<f32>>)| {
-            for (score, said) in scores.iter_mut().zip(&said) {
-                score.add(&truth, said);
-            }
-            Ok(())
-        })?;
-        for ((maps, score), penalty) in fitted.into_iter().zip(&scores).zip(&settings.penalties) {
+        penalties.map(|penalty| sums.solve(1.0, *penalty)).collect()
+    };
+    let fitted: Vec<Vec<LocalLinear>> = sums.iter().map(fit).collect::<Result<_>>()?;
+    let mut scores = vec![vec![Score::new(size); settings.penalties.len()]; scales.len()];
+    let said = |n: usize| {
+        let u = judges.get(n)?;
+        let x = project(&u);
+        let of_scales = fitted.iter().zip(occupancies(&u)?);
+        let said = of_scales.map(|(fitted, occupancy)| -> Vec<Array2<f32>> {
+            let fitted = fitted.iter();
+            fitted
+                .map(|maps| smooth(&local_linear::apply(maps, &x, &occupancy)))
+                .collect()
+        });
+        Ok((visual(&u)?.clone(), said.collect()))
+    };
+    in_order(judges.len(), said, |(truth, said): (_, Vec<Vec<Array2<f32>>>)| {
+        for (score, said) in scores.iter_mut().flatten().zip(said.iter().flatten()) {
+            score.add(&truth, said);
+        }
+        Ok(())
+    })?;
+    let mut best: Option<(f64, Following, LocalLinear)> = None;
+    for ((&acoustic_scale, fitted), scores) in scales.iter().zip(fitted).zip(&scores) {
+        for ((maps, score), penalty) in fitted.into_iter().zip(scores).zip(&settings.penalties) {
             progress.say(&format!(
                 "  maps: acoustic scale {acoustic_scale}, penalty {penalty}: AMSE {:.2}, ACC {:.4} on {} validation clips",
                 score.amse(),
@@ -103,6 +125,39 @@ pub(crate) fn maps(
     let (_, following, maps) =
         best.ok_or_else(|| Error::Choice("no acoustic scale or penalty to choose from".into()))?;
     Ok((following, context, maps))
+}
+
+/// The acoustic scale with the smallest error of the posterior mean on the `judges`.
+pub(super) fn posterior(
+    hmm: &Hmm,
+    judges: &impl Source,
+    settings: &TrainSettings,
+    progress: &dyn Progress,
+) -> Result<f32> {
+    let inverter = Inverter::new(*hmm);
+    let mut best = None;
+    for &scale in &settings.acoustic_scales {
+        let mut score = Score::new(hmm.visual.mean.dim().2);
+        let said = |n: usize| {
+            let u = judges.get(n)?;
+            let said = inverter.posterior_mean(&u.audio, scale, Lag::Whole);
+            Ok((visual(&u)?.clone(), smooth(&said.map_err(Error::other)?.0)))
+        };
+        in_order(judges.len(), said, |(truth, said)| {
+            score.add(&truth, &said);
+            Ok(())
+        })?;
+        progress.say(&format!(
+            "  posterior mean: acoustic scale {scale}: AMSE {:.2}, ACC {:.4}",
+            score.amse(),
+            score.acc()
+        ));
+        if best.is_none_or(|(amse, _)| score.amse() < amse) {
+            best = Some((score.amse(), scale));
+        }
+    }
+    best.map(|(_, scale)| scale)
+        .ok_or_else(|| Error::Choice("no acoustic scale to choose from".into()))
 }
 
 /// Visual exponents that the validation clips choose from, after the acoustic scale was chosen at the first.

@@ -5,6 +5,7 @@ mod audio;
 pub(crate) mod bigram;
 pub mod data;
 mod em;
+mod grow;
 pub mod local_linear;
 pub(crate) mod maps;
 pub mod resume;
@@ -34,12 +35,14 @@ use lipstream::tensors::Tensors;
 pub struct TrainSettings {
     /// Kind of model to train.
     pub system: System,
-    /// Most components per audio state (or joint state), a power of two.
+    /// Most components per audio state (or joint state), a power of two; validation clips may ask for fewer.
     pub audio_mixtures: usize,
-    /// Most components per visual state, a power of two.
+    /// Most components per visual state, a power of two; validation clips may ask for fewer.
     pub visual_mixtures: usize,
     /// EM passes between splits, and after the last one.
     pub iterations: usize,
+    /// Before them as many passes that count the best path alone (X&L appendix A).
+    pub viterbi_start: bool,
     /// Taps of the context in hops; the last one is the look-ahead.
     pub taps: Vec<i32>,
     /// Numbers that are left of the stacked statics.
@@ -67,6 +70,7 @@ impl Default for TrainSettings {
             audio_mixtures: 4,
             visual_mixtures: 2,
             iterations: 4,
+            viterbi_start: false,
             taps: (-30..=8).step_by(2).collect(),
             context: 48,
             lag: 4,
@@ -76,6 +80,25 @@ impl Default for TrainSettings {
             seed: 0,
             resume: Resume::default(),
             state: None,
+        }
+    }
+}
+
+impl TrainSettings {
+    /// How `system` is trained where nobody asks otherwise. What the device runs has as many components as it has time for;
+    /// the mixtures of the others grow until the validation clips say stop.
+    pub fn of(system: System) -> Self {
+        const MANY: usize = 64;
+        let own = Self::default();
+        let (audio_mixtures, visual_mixtures) = match system.is_live() {
+            true => (own.audio_mixtures, own.visual_mixtures),
+            false => (MANY, MANY),
+        };
+        Self {
+            system,
+            audio_mixtures,
+            visual_mixtures,
+            ..own
         }
     }
 }
@@ -124,7 +147,7 @@ pub fn train(
         true => parameters.audio,
         false => {
             let speakers = audio::all_speakers(aligned, &train, &heard)?;
-            audio::retrain(&parameters, &seen, system.density, speakers, settings, progress)?
+            audio::retrain(&parameters, &seen, speakers, settings, progress)?
         }
     };
     let provenance = format!(
@@ -231,8 +254,20 @@ impl Trained {
             true => train,
             false => validation,
         };
-        let (following, context, maps) = maps::maps(&hmm, train, judges, settings, progress)?;
+        let (following, context, maps) = match self.system.speaks_by_maps() {
+            true => maps::maps(&hmm, train, judges, settings, progress)?,
+            // Nothing speaks by these maps: nothing is to be chosen for them.
+            false => {
+                let one = TrainSettings {
+                    acoustic_scales: settings.acoustic_scales.iter().take(1).copied().collect(),
+                    penalties: settings.penalties.iter().take(1).copied().collect(),
+                    ..settings.clone()
+                };
+                maps::maps(&hmm, train, judges, &one, progress)?
+            }
+        };
         let conversion = maps::conversion(&hmm, judges, settings, progress)?;
+        let posterior_scale = maps::posterior(&hmm, judges, settings, progress)?;
         let mouth = match folder.mouth_path() {
             path if path.exists() => {
                 Some(MouthSpace::load(&Tensors::read(&path).map_err(Error::other)?).map_err(Error::other)?)
@@ -252,6 +287,7 @@ impl Trained {
             maps,
             following,
             conversion,
+            posterior_scale,
             mouth,
             provenance: self.provenance,
         })

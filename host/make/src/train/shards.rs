@@ -6,6 +6,7 @@ use lipstream_core::model::container::checksum;
 
 use super::data::{self, Clips};
 use super::em as joint;
+use super::grow::ENOUGH_TO_SPLIT;
 use super::state::State;
 use super::sums::{self, Origin};
 use crate::em::density::{self, Accumulator};
@@ -155,12 +156,12 @@ pub fn merge(state: &Path, sums: &[PathBuf], split: Option<Splitting>) -> Result
     );
     if let Some(most) = split {
         if parameters.audio.mean.dim().1 < most.audio_mixtures {
-            parameters.audio = density::split(&parameters.audio, &sums.audio, joint::ENOUGH_TO_SPLIT, None);
+            parameters.audio = density::split(&parameters.audio, &sums.audio, ENOUGH_TO_SPLIT, None);
         }
         if let (Some(visual), Some(sums)) = (&parameters.visual, &sums.visual)
             && visual.mean.dim().1 < most.visual_mixtures
         {
-            parameters.visual = Some(density::split(visual, sums, joint::ENOUGH_TO_SPLIT, None));
+            parameters.visual = Some(density::split(visual, sums, ENOUGH_TO_SPLIT, None));
         }
     }
     state.passes += 1;

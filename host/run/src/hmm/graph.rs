@@ -5,7 +5,7 @@ use ndarray::Array3;
 
 use super::network::PhoneNetwork;
 use super::topology::{Pairing, Topology};
-use crate::hmm::joint::{MOUTH_LEADS, N_EMITTING, SOUND_LEADS, choice};
+use crate::hmm::joint::{N_EMITTING, choice};
 use crate::phones::Phone;
 
 /// A pair of states, with the row of the transition table that governs it.
@@ -56,10 +56,10 @@ pub struct Graph {
 enum Key {
     /// (node, i, j)
     Inside(usize, usize, usize),
-    /// The node's last audio state while the mouth is in the first state of the atom.
-    MouthLeads(usize, usize),
-    /// The node's first audio state while the mouth is in the last state of the atom.
-    SoundLeads(usize, usize),
+    /// (node, atom, i, j): the sound is still in state i of the node while the mouth is in state j of the atom that follows.
+    MouthLeads(usize, usize, usize, usize),
+    /// (node, atom, i, j): the sound is in state i of the node while the mouth is still in state j of the atom before.
+    SoundLeads(usize, usize, usize, usize),
 }
 
 impl Graph {
@@ -163,21 +163,16 @@ impl Builder<'_> {
     }
 
     fn joint_state(&self, key: Key) -> JointState {
-        let last = N_EMITTING - 1;
-        let (node, i, visual, class) = match key {
-            Key::Inside(node, i, j) => (
-                node,
-                i,
-                N_EMITTING * self.atom(node) + j,
-                self.topology.inside_class(i, j),
-            ),
-            Key::MouthLeads(node, atom) => (node, last, N_EMITTING * atom, MOUTH_LEADS),
-            Key::SoundLeads(node, atom) => (node, 0, N_EMITTING * atom + last, SOUND_LEADS),
+        let topology = self.topology;
+        let (node, atom, (i, j), class) = match key {
+            Key::Inside(node, i, j) => (node, self.atom(node), (i, j), topology.inside_class(i, j)),
+            Key::MouthLeads(node, atom, i, j) => (node, atom, (i, j), topology.mouth_leads_class(i, j)),
+            Key::SoundLeads(node, atom, i, j) => (node, atom, (i, j), topology.sound_leads_class(i, j)),
         };
         let phone = self.network.nodes[node];
         JointState {
             audio: N_EMITTING * phone + i,
-            visual,
+            visual: topology.visual_state(atom, i, j),
             phone,
             class,
             node,
@@ -215,14 +210,27 @@ impl Builder<'_> {
                     }
                 }
             }
-            (Key::Inside(node, i, j), Pairing::Band) => {
+            (Key::Inside(node, i, j), Pairing::Band(width)) => {
                 for (choice, i2, j2) in ADVANCES.map(|(choice, a, v)| (choice, i + a, j + v)) {
-                    if i2.abs_diff(j2) <= 1 {
+                    if i2.abs_diff(j2) <= width {
                         self.enter(node, i2, j2, choice, arc);
                     }
                 }
             }
-            (Key::MouthLeads(node, atom), _) => {
+            (Key::MouthLeads(node, atom, i, j), Pairing::Band(width)) => {
+                if N_EMITTING + j + 1 - i <= width {
+                    arc(
+                        self.state(Key::MouthLeads(node, atom, i, j + 1)),
+                        choice::VISUAL_ADVANCES,
+                        0.0,
+                    );
+                }
+                if i + 1 < N_EMITTING {
+                    for (choice, j2) in [(choice::AUDIO_ADVANCES, j), (choice::BOTH_ADVANCE, j + 1)] {
+                        arc(self.state(Key::MouthLeads(node, atom, i + 1, j2)), choice, 0.0);
+                    }
+                    return;
+                }
                 let bound: Vec<_> = self.network.successors[node]
                     .iter()
                     .copied()
@@ -231,20 +239,35 @@ impl Builder<'_> {
                 let total = log_sum(bound.iter().map(|s| s.1));
                 for (next, weight) in bound {
                     arc(
-                        self.state(Key::Inside(next, 0, 0)),
+                        self.state(Key::Inside(next, 0, j)),
                         choice::AUDIO_ADVANCES,
                         weight - total,
                     );
                     arc(
-                        self.state(Key::Inside(next, 0, 1)),
+                        self.state(Key::Inside(next, 0, j + 1)),
                         choice::BOTH_ADVANCE,
                         weight - total,
                     );
                 }
             }
-            (Key::SoundLeads(node, _), _) => {
-                arc(self.state(Key::Inside(node, 0, 0)), choice::VISUAL_ADVANCES, 0.0);
-                arc(self.state(Key::Inside(node, 1, 0)), choice::BOTH_ADVANCE, 0.0);
+            (Key::SoundLeads(node, atom, i, j), Pairing::Band(width)) => {
+                if N_EMITTING + i + 1 - j <= width {
+                    arc(
+                        self.state(Key::SoundLeads(node, atom, i + 1, j)),
+                        choice::AUDIO_ADVANCES,
+                        0.0,
+                    );
+                }
+                for (choice, i2) in [(choice::VISUAL_ADVANCES, i), (choice::BOTH_ADVANCE, i + 1)] {
+                    let key = match j + 1 < N_EMITTING {
+                        true => Key::SoundLeads(node, atom, i2, j + 1),
+                        false => Key::Inside(node, i2, 0),
+                    };
+                    arc(self.state(key), choice, 0.0);
+                }
+            }
+            (Key::MouthLeads(..) | Key::SoundLeads(..), Pairing::Equal | Pairing::Free) => {
+                unreachable!("chains that may not lead never do")
             }
         }
     }
@@ -269,7 +292,7 @@ impl Builder<'_> {
             (false, true) => {
                 let atom = self.atom(node);
                 for (next, weight) in successors {
-                    arc(self.state(Key::SoundLeads(next, atom)), choice, weight);
+                    arc(self.state(Key::SoundLeads(next, atom, 0, j)), choice, weight);
                 }
             }
             (true, false) => {
@@ -278,7 +301,7 @@ impl Builder<'_> {
                 atoms.dedup();
                 for atom in atoms {
                     let weight = log_sum(successors.iter().filter(|s| self.atom(s.0) == atom).map(|s| s.1));
-                    arc(self.state(Key::MouthLeads(node, atom)), choice, weight);
+                    arc(self.state(Key::MouthLeads(node, atom, i, 0)), choice, weight);
                 }
             }
         }
@@ -299,7 +322,10 @@ mod tests {
     use super::*;
     use ndarray::Array2;
 
-    const ALL: [Topology; 5] = [
+    const ALL: [Topology; 8] = [
+        Topology::PH_FHMM_PAIRS,
+        Topology::PH_CHMM.within(2),
+        Topology::PH_VI_CHMM.within(3),
         Topology::PH_HMM,
         Topology::PH_FHMM,
         Topology::PH_VI_FHMM,
@@ -331,6 +357,8 @@ mod tests {
         assert_eq!(graph.states.len(), 47 * 13 + 2 * 47 * 13);
         let by_phones = Graph::build(&network, Topology::PH_CHMM, &phones);
         assert_eq!(by_phones.states.len(), 47 * 13 + 2 * 47 * 47);
+        let wide = Graph::build(&network, Topology::PH_VI_CHMM.within(2), &phones);
+        assert_eq!(wide.states.len(), 47 * 19 + 2 * 47 * 13 * 3);
         assert_eq!(
             Graph::build(&network, Topology::PH_FHMM, &phones).states.len(),
             47 * 25
@@ -373,6 +401,9 @@ mod tests {
         let graph = Graph::build(&PhoneNetwork::chain(&[0, 1, 2, 3]), Topology::PH_VI_CHMM, &phones);
         // 20 steps of the unrolled diagonal and its two neighbours.
         assert_eq!(graph.states.len(), 3 * 20 - 2);
+        let network = PhoneNetwork::chain(&[0, 1, 2, 3]);
+        let graph = Graph::build(&network, Topology::PH_VI_CHMM.within(3), &phones);
+        assert_eq!(graph.states.len(), 7 * 20 - 2 * (1 + 2 + 3));
         assert_eq!(graph.exits.as_ref().unwrap().len(), 1);
     }
 }

@@ -1,7 +1,7 @@
 //! Which joint states exist, and how their transitions are tied (X&L eq. 17-19).
 use ndarray::Array3;
 
-use crate::hmm::joint::{MOUTH_LEADS, N_EMITTING, N_TRANSITION_CLASSES, SOUND_LEADS, choice, pair_class};
+use crate::hmm::joint::{N_EMITTING, choice};
 use crate::hmm::mixtures::Mixtures;
 use crate::phones::Phone;
 
@@ -13,8 +13,9 @@ pub enum Pairing {
     /// Any pair inside one phone; each chain advances by its own probability (FHMM, eq. 18). Both leave the phone
     /// together.
     Free,
-    /// |a − v| ≤ 1 along the unrolled path, across phone borders too (CHMM, eq. 19).
-    Band,
+    /// |a − v| ≤ the width along the unrolled path, across phone borders too (CHMM; 1 in eq. 19). Less than the states of a
+    /// phone, so that no chain is two phones ahead.
+    Band(usize),
 }
 
 /// What the states of the visual chain belong to.
@@ -24,6 +25,9 @@ pub enum VisualAtom {
     Phone,
     /// Visemes: phones that look alike share their visual states.
     Viseme,
+    /// Pairs of states inside a phone: what the mouth does depends on where the sound stands too (eq. 11, where the state of
+    /// eq. 10 is printed as a pair).
+    Pair,
 }
 
 /// A system's description.
@@ -38,12 +42,12 @@ pub struct Topology {
 impl Topology {
     /// X&L's own system: phoneme states for the sound, viseme states for the mouth, coupled.
     pub const PH_VI_CHMM: Topology = Topology {
-        pairing: Pairing::Band,
+        pairing: Pairing::Band(1),
         visual: VisualAtom::Viseme,
     };
     /// Coupled chains, both over the phones.
     pub const PH_CHMM: Topology = Topology {
-        pairing: Pairing::Band,
+        pairing: Pairing::Band(1),
         visual: VisualAtom::Phone,
     };
     /// Independent chains inside a phone, viseme states for the mouth.
@@ -56,19 +60,29 @@ impl Topology {
         pairing: Pairing::Free,
         visual: VisualAtom::Phone,
     };
+    /// Independent chains inside a phone, the mouth's densities on pairs of states.
+    pub const PH_FHMM_PAIRS: Topology = Topology {
+        pairing: Pairing::Free,
+        visual: VisualAtom::Pair,
+    };
     /// One chain over the phones.
     pub const PH_HMM: Topology = Topology {
         pairing: Pairing::Equal,
         visual: VisualAtom::Phone,
     };
 
-    /// Rows of the transition table that one phone has.
-    pub fn classes_per_phone(self) -> usize {
-        match self.pairing {
-            Pairing::Equal => N_EMITTING,
-            Pairing::Free => N_EMITTING * N_EMITTING,
-            Pairing::Band => N_TRANSITION_CLASSES,
+    /// The same with chains that may be so many states apart in place of one.
+    pub const fn within(self, width: usize) -> Self {
+        Self {
+            pairing: Pairing::Band(width),
+            ..self
         }
+    }
+
+    /// Rows of the transition table that one phone has: pairs inside it, then those whose mouth leads, then those whose
+    /// sound does.
+    pub fn classes_per_phone(self) -> usize {
+        self.inside_pairs().len() + 2 * self.lead_pairs().len()
     }
 
     /// Row of the pair (i, j) inside a phone.
@@ -76,8 +90,28 @@ impl Topology {
         match self.pairing {
             Pairing::Equal => audio,
             Pairing::Free => N_EMITTING * audio + visual,
-            Pairing::Band => pair_class(audio, visual),
+            Pairing::Band(width) => {
+                let first = |i: usize| i.saturating_sub(width);
+                let row = |i: usize| (i + width).min(N_EMITTING - 1) + 1 - first(i);
+                (0..audio).map(row).sum::<usize>() + visual - first(audio)
+            }
         }
+    }
+
+    /// Row of a pair whose mouth is in state `visual` of what follows, while the sound is in state `audio` of the phone.
+    pub fn mouth_leads_class(self, audio: usize, visual: usize) -> usize {
+        self.inside_pairs().len() + self.lead(audio, visual)
+    }
+
+    /// Row of a pair whose sound is in state `audio` of the phone, while the mouth is in state `visual` of what went before.
+    pub fn sound_leads_class(self, audio: usize, visual: usize) -> usize {
+        self.inside_pairs().len() + self.lead_pairs().len() + self.lead(visual, audio)
+    }
+
+    fn lead(self, behind: usize, ahead: usize) -> usize {
+        let pairs = self.lead_pairs();
+        let place = pairs.iter().position(|pair| *pair == (behind, ahead));
+        place.expect("a pair that the band allows")
     }
 
     /// Pairs (i, j) inside one phone.
@@ -86,24 +120,42 @@ impl Topology {
         match self.pairing {
             Pairing::Equal => all.filter(|(i, j)| i == j).collect(),
             Pairing::Free => all.collect(),
-            Pairing::Band => all.filter(|(i, j)| i.abs_diff(*j) <= 1).collect(),
+            Pairing::Band(width) => all.filter(|(i, j)| i.abs_diff(*j) <= width).collect(),
         }
+    }
+
+    /// Pairs across a border: the state of the chain that is behind, and that of the one that is in the next phone already.
+    pub fn lead_pairs(self) -> Vec<(usize, usize)> {
+        let Pairing::Band(width) = self.pairing else {
+            return Vec::new();
+        };
+        let all = (0..N_EMITTING).flat_map(|i| (0..N_EMITTING).map(move |j| (i, j)));
+        all.filter(|(behind, ahead)| N_EMITTING + ahead - behind <= width)
+            .collect()
     }
 
     /// Which of the four choices a row of the transition table allows.
     pub fn allowed(self, class: usize) -> [bool; 4] {
-        let (audio, visual, both) = match (self.pairing, class) {
-            (Pairing::Equal, _) => (false, false, true),
-            (Pairing::Free, _) => {
+        let (audio, visual, both) = match self.pairing {
+            Pairing::Equal => (false, false, true),
+            Pairing::Free => {
                 const LAST: usize = N_EMITTING - 1;
                 let (i, j) = (class / N_EMITTING, class % N_EMITTING);
                 (i < LAST, j < LAST, (i < LAST) == (j < LAST))
             }
-            (Pairing::Band, MOUTH_LEADS) => (true, false, true),
-            (Pairing::Band, SOUND_LEADS) => (false, true, true),
-            (Pairing::Band, _) => {
-                let (i, j) = self.inside_pairs()[class];
-                (i <= j, j <= i, true)
+            Pairing::Band(width) => {
+                let (inside, leads) = (self.inside_pairs(), self.lead_pairs());
+                // Places of the two chains on the unrolled path.
+                let (i, j) = if class < inside.len() {
+                    inside[class]
+                } else if class < inside.len() + leads.len() {
+                    let (behind, ahead) = leads[class - inside.len()];
+                    (behind, N_EMITTING + ahead)
+                } else {
+                    let (behind, ahead) = leads[class - inside.len() - leads.len()];
+                    (N_EMITTING + ahead, behind)
+                };
+                ((i + 1).abs_diff(j) <= width, i.abs_diff(j + 1) <= width, true)
             }
         };
         let mut allowed = [false; 4];
@@ -117,16 +169,38 @@ impl Topology {
     /// Number of the visual atom of a phone: itself in the model's order, or its viseme.
     pub fn visual_atom(self, index: usize, phone: Phone) -> usize {
         match self.visual {
-            VisualAtom::Phone => index,
+            VisualAtom::Phone | VisualAtom::Pair => index,
             VisualAtom::Viseme => usize::from(phone.viseme().0),
         }
     }
 
+    /// Visual states of one atom.
+    pub fn states_of_atom(self) -> usize {
+        match self.visual {
+            VisualAtom::Phone | VisualAtom::Viseme => N_EMITTING,
+            VisualAtom::Pair => N_EMITTING * N_EMITTING,
+        }
+    }
+
+    /// Number of the visual state of an atom when the mouth is in its state j and, where that counts, the sound in state i.
+    pub fn visual_state(self, atom: usize, i: usize, j: usize) -> usize {
+        match self.visual {
+            VisualAtom::Phone | VisualAtom::Viseme => N_EMITTING * atom + j,
+            VisualAtom::Pair => N_EMITTING * (N_EMITTING * atom + i) + j,
+        }
+    }
+
+    /// All visual states of an atom in which the mouth is in state j.
+    pub fn visual_states_at(self, atom: usize, j: usize) -> impl Iterator<Item = usize> {
+        let sounds = self.states_of_atom() / N_EMITTING;
+        (0..sounds).map(move |i| self.visual_state(atom, i, j))
+    }
+
     /// Number of visual states of a model over `n_phones` phones.
     pub fn n_visual_states(self, n_phones: usize) -> usize {
-        N_EMITTING
+        self.states_of_atom()
             * match self.visual {
-                VisualAtom::Phone => n_phones,
+                VisualAtom::Phone | VisualAtom::Pair => n_phones,
                 VisualAtom::Viseme => crate::phones::VISEMES.len(),
             }
     }
@@ -175,12 +249,30 @@ mod tests {
     use super::*;
 
     #[test]
-    fn thirteen_pairs_number_themselves() {
+    fn rows_number_themselves() {
+        use crate::hmm::joint::{MOUTH_LEADS, N_TRANSITION_CLASSES, SOUND_LEADS, pair_class};
         let t = Topology::PH_VI_CHMM;
-        let pairs = t.inside_pairs();
-        assert_eq!(pairs.len(), 13);
-        for (class, (i, j)) in pairs.into_iter().enumerate() {
-            assert_eq!(t.inside_class(i, j), class);
+        assert_eq!(t.classes_per_phone(), N_TRANSITION_CLASSES);
+        for (class, (i, j)) in t.inside_pairs().into_iter().enumerate() {
+            assert_eq!((t.inside_class(i, j), pair_class(i, j)), (class, class));
+        }
+        let last = N_EMITTING - 1;
+        assert_eq!(t.mouth_leads_class(last, 0), MOUTH_LEADS);
+        assert_eq!(t.sound_leads_class(0, last), SOUND_LEADS);
+        for width in 1..N_EMITTING {
+            let t = t.within(width);
+            let mut rows: Vec<usize> = t
+                .inside_pairs()
+                .iter()
+                .map(|p| t.inside_class(p.0, p.1))
+                .collect();
+            rows.extend(t.lead_pairs().iter().map(|p| t.mouth_leads_class(p.0, p.1)));
+            rows.extend(t.lead_pairs().iter().map(|p| t.sound_leads_class(p.1, p.0)));
+            assert_eq!(
+                rows,
+                (0..t.classes_per_phone()).collect::<Vec<_>>(),
+                "width {width}"
+            );
         }
     }
 

@@ -64,13 +64,17 @@ impl Follower {
 
     /// Occupancies of the audio states `[frames, 5·phones]` and of the visual states `[frames, visual states]`.
     pub fn occupancies(&self, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
-        let frames = observations.nrows();
+        self.occupancies_of(&self.log_likelihoods(observations), lag)
+    }
+
+    /// [`Self::occupancies`] where [`Self::log_likelihoods`] are at hand, which do not depend on the acoustic scale.
+    pub fn occupancies_of(&self, log: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
+        let frames = log.nrows();
         let mut audio = Array2::zeros((frames, self.n_audio_states));
         let mut visual = Array2::zeros((frames, self.n_visual_states));
         if frames == 0 {
             return Ok((audio, visual));
         }
-        let log = self.log_likelihoods(observations);
         let emission =
             |t: usize, s: usize| self.acoustic_scale * f64::from(log[[t, self.graph.states[s].audio]]);
         let forward = forward(&self.graph, &self.probability, frames, &emission).ok_or(NotFinite)?;
@@ -115,11 +119,27 @@ impl Follower {
 /// Mouth parameters `[frames, D]` and viseme weights `[frames, 13]` of one utterance's observations `[frames, 39]`,
 /// spoken as the model's system speaks. Systems without a lag hear the whole utterance.
 pub fn convert(model: &Model, observations: &Array2<f32>, lag: Lag) -> Result<(Array2<f32>, Array2<f32>)> {
-    match model.system.speech {
+    convert_as(model, model.system.speech, observations, lag)
+}
+
+/// [`convert`], spoken in another way than the model's own: a model holds what all of them need.
+pub fn convert_as(
+    model: &Model,
+    speech: Speech,
+    observations: &Array2<f32>,
+    lag: Lag,
+) -> Result<(Array2<f32>, Array2<f32>)> {
+    match speech {
         Speech::LocalLinear => convert_with(&Follower::of_model(model), model, observations, lag),
         Speech::Means => {
             let inverter = Inverter::new(Hmm::of_model(model));
             let (spoken, visual) = inverter.convert(observations, &model.conversion)?;
+            Ok((smooth(&spoken), viseme_weights(model, &visual)))
+        }
+        Speech::Posterior => {
+            let inverter = Inverter::new(Hmm::of_model(model));
+            let (spoken, visual) =
+                inverter.posterior_mean(observations, model.posterior_scale, Lag::Whole)?;
             Ok((smooth(&spoken), viseme_weights(model, &visual)))
         }
         Speech::Viterbi => {
@@ -155,15 +175,15 @@ pub fn apply_maps(
     Ok((local_linear::apply(&model.maps, &x, &visual), visual))
 }
 
-/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the five states of each
+/// Occupancy of each viseme `[frames, 13]` from those of the model's visual states: the sum over the states of each
 /// visual atom, and over the phones of a viseme where the atoms are phones.
 pub fn viseme_weights(model: &Model, visual: &Array2<f32>) -> Array2<f32> {
     let mut out = Array2::zeros((visual.nrows(), VISEMES.len()));
     for (state, column) in visual.axis_iter(Axis(1)).enumerate() {
-        let atom = state / N_EMITTING;
+        let atom = state / model.system.topology.states_of_atom();
         let viseme = match model.system.topology.visual {
             VisualAtom::Viseme => atom,
-            VisualAtom::Phone => usize::from(model.phones[atom].viseme().0),
+            VisualAtom::Phone | VisualAtom::Pair => usize::from(model.phones[atom].viseme().0),
         };
         let mut weight = out.column_mut(viseme);
         weight += &column;

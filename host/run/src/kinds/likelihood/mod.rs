@@ -118,6 +118,8 @@ pub struct Model {
     pub following: Following,
     /// How conversion by means goes.
     pub conversion: EmSettings,
+    /// Exponent of the sound's likelihood in conversion by the posterior mean, chosen on validation data.
+    pub posterior_scale: f32,
     /// Absent in a model trained on plain visual numbers.
     pub mouth: Option<MouthSpace>,
     /// Where the model comes from: corpus, settings, date. For people.
@@ -171,6 +173,7 @@ impl Model {
         out.note("conversion.acoustic_scale", self.conversion.acoustic_scale);
         out.note("conversion.visual_exponent", self.conversion.visual_exponent);
         out.note("conversion.iterations", self.conversion.iterations);
+        out.note("conversion.posterior_scale", self.posterior_scale);
         out.put("start_mean", &self.start_mean);
         for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
             out.put(&format!("{name}.mean"), &mixtures.mean);
@@ -246,6 +249,11 @@ impl Model {
                 log_weight: from.array(&format!("{name}.log_weight"))?,
             })
         };
+        // Files of before there was such a conversion lack it.
+        let posterior_scale = match from.has_note("conversion.posterior_scale") {
+            true => "conversion.posterior_scale",
+            false => "conversion.acoustic_scale",
+        };
         let model = Model {
             system,
             phones,
@@ -274,6 +282,7 @@ impl Model {
                 iterations: from.noted("conversion.iterations")?,
                 m_step: MStep::Exact,
             },
+            posterior_scale: from.noted(posterior_scale)?,
             mouth: if from.has("mouth.mean") {
                 Some(MouthSpace::load(from)?)
             } else {
@@ -351,7 +360,11 @@ impl Model {
                 "the mouth has another number of eigenmouths than the maps have rows"
             );
         }
-        for scale in [self.following.acoustic_scale, self.conversion.acoustic_scale] {
+        for scale in [
+            self.following.acoustic_scale,
+            self.conversion.acoustic_scale,
+            self.posterior_scale,
+        ] {
             if !(scale > 0.0 && scale <= 1.0) {
                 bail!(File, "the acoustic scale {scale} is not in (0, 1]");
             }

@@ -1,5 +1,5 @@
 //! Conversion by means (X&L section 4): the mouth that is likeliest under the HMM and the sound, found by EM from
-//! the best path's centres; and the old way, those centres themselves.
+//! the best path's centres; the old way, those centres themselves; and the mean of the mouth given the sound (`posterior.rs`).
 //!
 //! E step: γ_t(v, k) by forward-backward over the phone loop, given oᵃ and the present ôᵛ.
 //! M step: ôᵛ_t = [Σ γ_t(v,k) Σ⁻¹_vk]⁻¹ Σ γ_t(v,k) Σ⁻¹_vk μ_vk (eq. 9 without its second weight; `docs/design.md` section 5).
@@ -16,6 +16,9 @@ use crate::hmm::graph::{Graph, log_sum};
 use crate::hmm::mixtures::Mixtures;
 use crate::hmm::system::Density;
 use crate::kinds::likelihood::{EmSettings, MStep, NotFinite};
+
+mod live;
+mod posterior;
 
 /// What conversion returns.
 type Result<T, E = NotFinite> = std::result::Result<T, E>;
@@ -250,6 +253,17 @@ impl Inverter {
         sound + f64::from(state[[t, at.visual]])
     }
 
+    /// Occupancies of the visual states, `[frames, visual states]`, from those of the joint states.
+    fn visual_occupancy(&self, gamma: &Array2<f64>) -> Array2<f32> {
+        let mut occupancy = Array2::<f32>::zeros((gamma.nrows(), self.centre.nrows()));
+        for (t, row) in gamma.outer_iter().enumerate() {
+            for (s, &g) in self.graph.states.iter().zip(row) {
+                occupancy[[t, s.visual]] += g as f32;
+            }
+        }
+        occupancy
+    }
+
     /// Occupancies of the visual states `[frames, visual states]`, and the M step: the mouth `[frames, D]`.
     fn maximise(
         &self,
@@ -259,13 +273,10 @@ impl Inverter {
     ) -> (Array2<f32>, Array2<f32>) {
         let (states, k, size) = self.mixtures.mean.dim();
         let frames = gamma.nrows();
-        let mut occupancy = Array2::<f32>::zeros((frames, states));
+        let occupancy = self.visual_occupancy(gamma);
         let mut next = Array2::<f32>::zeros((frames, size));
         let (mut precision, mut weighted) = (vec![0.0f64; size], vec![0.0f64; size]);
-        for (t, row) in gamma.outer_iter().enumerate() {
-            for (s, &g) in self.graph.states.iter().zip(row) {
-                occupancy[[t, s.visual]] += g as f32;
-            }
+        for t in 0..frames {
             precision.fill(0.0);
             weighted.fill(0.0);
             for s in 0..states {
@@ -293,52 +304,6 @@ impl Inverter {
             }
         }
         (occupancy, next)
-    }
-
-    /// The paper's re-estimation inside a stream's window: with every incoming frame one E and one M step over the last
-    /// `lag` frames and the new one, whose mouth begins at what the sound alone says. A frame is given out as it leaves the
-    /// window, and the forward variable moves on with what it was.
-    pub fn convert_live(
-        &self,
-        observations: &Array2<f32>,
-        settings: &EmSettings,
-        lag: usize,
-    ) -> Result<Array2<f32>> {
-        let heard = self.hear(observations, settings.acoustic_scale);
-        let frames = observations.nrows();
-        let mut mouth = Array2::<f32>::zeros((frames, self.centre.ncols()));
-        // α of the frame before the window, and of the frame before the new one.
-        let (mut before, mut newest): (Option<Vec<f64>>, Option<Vec<f64>>) = (None, None);
-        for t in 0..frames {
-            let first = t.saturating_sub(lag);
-            // The new frame is heard, not seen yet: its mouth is the centres of the states that its sound leaves.
-            let alone = heard.part(t, t);
-            let state = self.unseen(&alone);
-            let alpha = self.follow(&alone, &state, newest.as_deref(), 1)?.alpha;
-            let mut centre = vec![0.0f64; mouth.ncols()];
-            for (at, weight) in self.graph.states.iter().zip(alpha.row(0)) {
-                for (c, m) in centre.iter_mut().zip(self.centre.row(at.visual)) {
-                    *c += weight * f64::from(*m);
-                }
-            }
-            mouth
-                .row_mut(t)
-                .iter_mut()
-                .zip(&centre)
-                .for_each(|(to, c)| *to = *c as f32);
-            let part = heard.part(first, t);
-            let window = mouth.slice(s![first..=t, ..]).to_owned();
-            let (state, component) = self.see(&part, &window, settings.visual_exponent);
-            let seen = self.follow(&part, &state, before.as_deref(), window.nrows())?;
-            let gamma = seen.backward(&self.graph, &self.probability, |_, _, _| ());
-            let (_, next) = self.maximise(&gamma, &component, settings.m_step);
-            mouth.slice_mut(s![first..=t, ..]).assign(&next);
-            newest = Some(seen.alpha.row(t - first).to_vec());
-            if t >= lag {
-                before = Some(seen.alpha.row(0).to_vec());
-            }
-        }
-        Ok(mouth)
     }
 
     /// [`Self::see`] where no mouth has been seen: what sound alone says of each visual state.
