@@ -364,7 +364,12 @@ fn disturbed(
     let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
     (0..variants)
         .map(|_| {
-            let disturbance = Disturbance::draw(clip.audio.nrows(), settings.other_voices, &mut rng);
+            let disturbance = Disturbance::draw(
+                clip.audio.nrows(),
+                settings.other_voices,
+                settings.other_sounds,
+                &mut rng,
+            );
             disturbance.hear(samples, &babble, start_mean, scale, &mut rng)
         })
         .collect()

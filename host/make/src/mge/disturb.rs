@@ -1,10 +1,11 @@
 //! Training clips as another room would give them: noise, babble, another level, a jump of the level, a stream that begins in
-//! mid-clip. And as somebody else would say them: with a vocal tract of another length, through another microphone, to a stream that has
+//! mid-clip, sounds that are no speech. And as somebody else would say them: with a vocal tract of another length, through another microphone, to a stream that has
 //! heard this voice for long. The front end hears each disturbed sound anew, its running mean included.
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_STATIC};
 use ndarray::Array2;
 use rand::{Rng, RngExt};
 
+use super::clatter::Clatter;
 use crate::noise;
 use lipstream::random::normal;
 use lipstream::reference::{Analyser, SpeechMean, normalise};
@@ -42,6 +43,8 @@ pub struct Disturbance {
     jump: Option<(f64, f64)>,
     /// Somebody else; None: the voice as it is.
     voice: Option<Voice>,
+    /// Something that is no speech.
+    clatter: Option<Clatter>,
 }
 
 /// Somebody else says it.
@@ -74,8 +77,8 @@ impl Voice {
 
 impl Disturbance {
     /// A random one for a clip of `frames` frames: noise in four of five, another level in half, a jump in one of five,
-    /// a later beginning in half of those that are long enough; a share of `other_voices` as somebody else would say them.
-    pub fn draw(frames: usize, other_voices: f32, rng: &mut impl Rng) -> Self {
+    /// a later beginning in half of those that are long enough; a share of `other_voices` as somebody else would say them, and of `other_sounds` with something beside that is no speech.
+    pub fn draw(frames: usize, other_voices: f32, other_sounds: f32, rng: &mut impl Rng) -> Self {
         let mut chance = |share: f64| rng.random::<f64>() < share;
         let (is_noisy, is_white, other_level, jumps, is_cold) =
             (chance(0.8), chance(0.5), chance(0.5), chance(0.2), chance(0.5));
@@ -92,8 +95,11 @@ impl Disturbance {
         // Drawn only where it is asked for: what is drawn otherwise stays as it was.
         let is_other = other_voices > 0.0 && rng.random::<f32>() < other_voices;
         let voice = is_other.then(|| Voice::draw(rng));
+        let clatters = other_sounds > 0.0 && rng.random::<f32>() < other_sounds;
+        let clatter = clatters.then(|| Clatter::draw(rng));
         Self {
             voice,
+            clatter,
             first: if is_cold { first } else { 0 },
             noise: is_noisy.then_some((kind, ratio)),
             level_db: if other_level { level } else { 0.0 },
@@ -130,6 +136,9 @@ impl Disturbance {
         }
         if let Some(voice) = &self.voice {
             tilted(&mut sound, voice.tilt);
+        }
+        if let Some(clatter) = &self.clatter {
+            clatter.lay(&mut sound, rng);
         }
         let from = (self.first * HOP_SAMPLES).min(sound.len().saturating_sub(FRAME_SAMPLES));
         let factor = self.voice.map_or(1.0, |voice| voice.factor);
@@ -191,6 +200,7 @@ mod tests {
             level_db: 0.0,
             jump: None,
             voice: None,
+            clatter: None,
         };
         let (mean, scale) = ([1.0; N_STATIC], [0.5; N_STATIC]);
         let heard = none.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
@@ -215,6 +225,7 @@ mod tests {
             level_db: 0.0,
             jump: None,
             voice: None,
+            clatter: None,
         };
         let mean = [0.0; N_STATIC];
         let heard = late.hear(
@@ -232,12 +243,14 @@ mod tests {
     #[test]
     fn draws_differ_and_stay_inside_the_clip() {
         let mut rng = Pcg64::seed_from_u64(3);
-        let drawn: Vec<Disturbance> = (0..200).map(|_| Disturbance::draw(298, 0.0, &mut rng)).collect();
+        let drawn: Vec<Disturbance> = (0..200)
+            .map(|_| Disturbance::draw(298, 0.0, 0.0, &mut rng))
+            .collect();
         assert!(drawn.iter().all(|d| d.first <= 298 - LEAST_FRAMES));
         assert!(drawn.iter().filter(|d| d.noise.is_some()).count() > 130);
         assert!(drawn.iter().filter(|d| d.first > 0).count() > 70);
         assert!(drawn.iter().any(|d| d.jump.is_some() && d.level_db < -10.0));
-        assert!((0..50).all(|_| Disturbance::draw(40, 0.0, &mut rng).first == 0));
+        assert!((0..50).all(|_| Disturbance::draw(40, 0.0, 0.0, &mut rng).first == 0));
     }
 
     #[test]
@@ -253,6 +266,7 @@ mod tests {
                 tilt: 0.2,
                 known: Some([0.0; N_STATIC]),
             }),
+            clatter: None,
         };
         let (mean, scale) = ([50.0; N_STATIC], [1.0; N_STATIC]);
         let heard = known.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
@@ -270,7 +284,7 @@ mod tests {
         let mut rng = Pcg64::seed_from_u64(3);
         let mut drawn = |share| -> Vec<Option<Voice>> {
             (0..300)
-                .map(|_| Disturbance::draw(298, share, &mut rng).voice)
+                .map(|_| Disturbance::draw(298, share, 0.0, &mut rng).voice)
                 .collect()
         };
         assert!(drawn(0.0).iter().all(Option::is_none));

@@ -5,6 +5,7 @@
 pub mod adapt;
 mod batch;
 pub mod checkpoint;
+mod clatter;
 pub mod data;
 pub mod disturb;
 #[cfg(test)]

@@ -53,6 +53,8 @@ pub struct MgeTrainSettings {
     pub disturbed: f32,
     /// Share of the disturbed hearings that are as somebody else would say them, 0 to 1.
     pub other_voices: f32,
+    /// Share of the disturbed hearings in which something clicks, breathes or hums that is no speech, 0 to 1.
+    pub other_sounds: f32,
     /// κ_t: weight of the error towards what the phones of clips without video say of their mouth ([`teach`](super::teach)), per frame; 0: they say nothing.
     pub taught_error: f32,
     /// κ_c: weight of lips that do not meet at p, b and m, or meet elsewhere, per frame, with video and without; 0: nothing is asked of them.
@@ -100,6 +102,7 @@ impl Default for MgeTrainSettings {
             variants: 6,
             disturbed: 0.3,
             other_voices: 0.0,
+            other_sounds: 0.0,
             taught_error: 0.0,
             closure_error: 0.0,
             lip_error: 0.3,
@@ -141,12 +144,10 @@ impl MgeTrainSettings {
                 bail!(Choice, "the {name} is {share}: give 0 or more, less than 1");
             }
         }
-        if !(0.0..=1.0).contains(&self.other_voices) {
-            bail!(
-                Choice,
-                "the share of other voices is {}: give 0 to 1",
-                self.other_voices
-            );
+        for (name, share) in [("voices", self.other_voices), ("sounds", self.other_sounds)] {
+            if !(0.0..=1.0).contains(&share) {
+                bail!(Choice, "the share of other {name} is {share}: give 0 to 1");
+            }
         }
         let positive = [
             self.lip_error,
