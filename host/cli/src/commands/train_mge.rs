@@ -95,6 +95,9 @@ pub(crate) struct Args {
     /// Share of those more hearings in which something clicks, breathes or hums that is no speech
     #[arg(long, default_value_t = MgeTrainSettings::default().other_sounds)]
     other_sounds: f32,
+    /// Share of those more hearings behind which nobody speaks for a while, and the mouth stays where the clip has left it
+    #[arg(long, default_value_t = MgeTrainSettings::default().pauses)]
+    pauses: f32,
     /// Look-aheads in frames of 10 ms that the model is to serve, up to the first tap; each piece has one of them
     #[arg(long, value_delimiter = ',', default_values_t = MgeTrainSettings::default().look_aheads)]
     look_aheads: Vec<usize>,
@@ -130,6 +133,7 @@ impl Args {
             disturbed: self.disturbed,
             other_voices: self.other_voices,
             other_sounds: self.other_sounds,
+            pauses: self.pauses,
             taught_error: self.taught_error,
             closure_error: self.closure_error,
             lip_error: self.lip_error,

@@ -1,7 +1,7 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
 use crate::error::Result;
 use lipstream_core::N_STATIC;
-use ndarray::{Array1, Array2, ArrayBase, ArrayView1, Data, Ix2, s};
+use ndarray::{Array1, Array2, ArrayBase, ArrayView1, Data, Ix2};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -212,7 +212,9 @@ impl Trainer<'_> {
         let targets: Vec<(usize, usize)> = (0..piece.frames)
             .map(|t| {
                 let (before, after, share) = piece.place(t, length);
-                clip.states[first + if share < 0.5 { before } else { after }]
+                let place = first + if share < 0.5 { before } else { after };
+                // In a pause behind the clip all stays as it was.
+                clip.states[place.min(clip.states.len() - 1)]
             })
             .collect();
         let mut g_output = Array2::zeros((piece.frames, shape.outputs));
@@ -231,7 +233,7 @@ impl Trainer<'_> {
         let mouth = clip
             .mouth
             .as_ref()
-            .map(|mouth| piece.cut(&mouth.slice(s![first..first + length, ..]), piece.frames));
+            .map(|mouth| piece.cut(&held(mouth, first, length), piece.frames));
         if let (Some(gap), Of::Person | Of::Heard) = (&self.data.gap, piece.of) {
             let filmed = mouth.as_ref().filter(|_| piece.of == Of::Person);
             let wrong = gap.wrong(tape.output.view(), filmed.map(|mouth| mouth.view()), &targets);
@@ -312,6 +314,12 @@ impl Trainer<'_> {
         }
         Ok(total)
     }
+}
+
+/// `frames` rows from row `first` on; the last one is held where there are no more.
+fn held(rows: &Array2<f32>, first: usize, frames: usize) -> Array2<f32> {
+    let last = rows.nrows() - 1;
+    Array2::from_shape_fn((frames, rows.ncols()), |(t, d)| rows[[(first + t).min(last), d]])
 }
 
 /// By how much a gap is wrong in each frame of a piece. How open a stranger's mouth is on average says nothing: of both the mean is taken off.

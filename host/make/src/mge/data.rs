@@ -4,7 +4,7 @@ use std::path::Path;
 use lipstream_core::N_STATIC;
 use ndarray::{Array2, ArrayView1, ArrayView2, Axis, s};
 
-use super::disturb::{Disturbance, Variant};
+use super::disturb::{Disturbance, Shares, Variant};
 use super::lips::Gap;
 use super::settings::MgeTrainSettings;
 use super::store::Store;
@@ -362,14 +362,14 @@ fn disturbed(
 ) -> Vec<Variant> {
     let babble: Vec<&[i16]> = babble.iter().map(Vec::as_slice).collect();
     let mut rng = noise::generator(settings.seed, &clip.id, "disturbed");
+    let shares = Shares {
+        voices: settings.other_voices,
+        sounds: settings.other_sounds,
+        pauses: settings.pauses,
+    };
     (0..variants)
         .map(|_| {
-            let disturbance = Disturbance::draw(
-                clip.audio.nrows(),
-                settings.other_voices,
-                settings.other_sounds,
-                &mut rng,
-            );
+            let disturbance = Disturbance::draw(clip.audio.nrows(), shares, &mut rng);
             disturbance.hear(samples, &babble, start_mean, scale, &mut rng)
         })
         .collect()

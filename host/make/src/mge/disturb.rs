@@ -1,5 +1,5 @@
 //! Training clips as another room would give them: noise, babble, another level, a jump of the level, a stream that begins in
-//! mid-clip, sounds that are no speech. And as somebody else would say them: with a vocal tract of another length, through another microphone, to a stream that has
+//! mid-clip, sounds that are no speech, a long pause behind it. And as somebody else would say them: with a vocal tract of another length, through another microphone, to a stream that has
 //! heard this voice for long. The front end hears each disturbed sound anew, its running mean included.
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_STATIC};
 use ndarray::Array2;
@@ -7,7 +7,7 @@ use rand::{Rng, RngExt};
 
 use super::clatter::Clatter;
 use crate::noise;
-use lipstream::random::normal;
+use lipstream::random::{normal, normal_f64};
 use lipstream::reference::{Analyser, SpeechMean, normalise};
 
 /// A clip heard once more.
@@ -33,6 +33,24 @@ const MISTAKEN: f64 = 0.15;
 /// Frames that are left of a clip that begins in its middle, at least.
 const LEAST_FRAMES: usize = 160;
 
+/// Length of a pause behind a clip in which nobody speaks, frames.
+const PAUSES: std::ops::Range<usize> = 50..250;
+/// How loud a room is in such a pause beside the end of the clip, as a factor.
+const ROOMS: std::ops::Range<f64> = 0.0..1.5;
+/// Samples at the end of a clip that tell how loud its room is.
+const ENDING: usize = 1600;
+
+/// Shares of hearings that are drawn only where they are asked for, 0 to 1 each.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Shares {
+    /// As somebody else would say it.
+    pub voices: f32,
+    /// With something beside it that is no speech.
+    pub sounds: f32,
+    /// With a pause behind it in which nobody speaks.
+    pub pauses: f32,
+}
+
 /// What happens to one clip.
 #[derive(Clone, Copy, Debug)]
 pub struct Disturbance {
@@ -45,6 +63,8 @@ pub struct Disturbance {
     voice: Option<Voice>,
     /// Something that is no speech.
     clatter: Option<Clatter>,
+    /// Frames behind the clip, and how loud the room is in them, as a factor.
+    pause: Option<(usize, f64)>,
 }
 
 /// Somebody else says it.
@@ -77,8 +97,8 @@ impl Voice {
 
 impl Disturbance {
     /// A random one for a clip of `frames` frames: noise in four of five, another level in half, a jump in one of five,
-    /// a later beginning in half of those that are long enough; a share of `other_voices` as somebody else would say them, and of `other_sounds` with something beside that is no speech.
-    pub fn draw(frames: usize, other_voices: f32, other_sounds: f32, rng: &mut impl Rng) -> Self {
+    /// a later beginning in half of those that are long enough; the rest by its `shares`.
+    pub fn draw(frames: usize, shares: Shares, rng: &mut impl Rng) -> Self {
         let mut chance = |share: f64| rng.random::<f64>() < share;
         let (is_noisy, is_white, other_level, jumps, is_cold) =
             (chance(0.8), chance(0.5), chance(0.5), chance(0.2), chance(0.5));
@@ -93,13 +113,15 @@ impl Disturbance {
         let (at, by) = (rng.random::<f64>(), rng.random_range(-JUMP_DB..JUMP_DB));
         let first = rng.random_range(0..=room);
         // Drawn only where it is asked for: what is drawn otherwise stays as it was.
-        let is_other = other_voices > 0.0 && rng.random::<f32>() < other_voices;
+        let is_drawn = |share: f32, rng: &mut _| share > 0.0 && RngExt::random::<f32>(rng) < share;
+        let is_other = is_drawn(shares.voices, rng);
         let voice = is_other.then(|| Voice::draw(rng));
-        let clatters = other_sounds > 0.0 && rng.random::<f32>() < other_sounds;
-        let clatter = clatters.then(|| Clatter::draw(rng));
+        let clatter = is_drawn(shares.sounds, rng).then(|| Clatter::draw(rng));
+        let pause = is_drawn(shares.pauses, rng).then(|| (rng.random_range(PAUSES), rng.random_range(ROOMS)));
         Self {
             voice,
             clatter,
+            pause,
             first: if is_cold { first } else { 0 },
             noise: is_noisy.then_some((kind, ratio)),
             level_db: if other_level { level } else { 0.0 },
@@ -107,7 +129,7 @@ impl Disturbance {
         }
     }
 
-    /// The clip's sound disturbed, and what the front end makes of it. `voices` babble.
+    /// The clip's sound disturbed, and what the front end makes of it: more frames than the clip has, where there is a pause behind it. `voices` babble.
     pub fn hear(
         &self,
         samples: &[i16],
@@ -116,6 +138,7 @@ impl Disturbance {
         scale: &[f32],
         rng: &mut rand_pcg::Pcg64,
     ) -> Variant {
+        let samples = &self.with_pause(samples, rng)[..];
         let mut sound = match self.noise {
             None => samples.to_vec(),
             Some((kind, ratio_db)) => {
@@ -154,6 +177,20 @@ impl Disturbance {
             first: from / HOP_SAMPLES,
             x: Array2::from_shape_fn(normalised.dim(), |(t, d)| normalised[[t, d]] as f32 * scale[d]),
         }
+    }
+}
+
+impl Disturbance {
+    /// The clip, and a room in which nobody speaks behind it.
+    fn with_pause(&self, samples: &[i16], rng: &mut rand_pcg::Pcg64) -> Vec<i16> {
+        let mut sound = samples.to_vec();
+        if let Some((frames, loud)) = self.pause {
+            let ending = &samples[samples.len().saturating_sub(ENDING)..];
+            let squares: f64 = ending.iter().map(|s| f64::from(*s).powi(2)).sum();
+            let room = loud * (squares / ending.len().max(1) as f64).sqrt();
+            sound.extend((0..frames * HOP_SAMPLES).map(|_| (room * normal_f64(rng)).round() as i16)); // `as` saturates
+        }
+        sound
     }
 }
 
@@ -201,6 +238,7 @@ mod tests {
             jump: None,
             voice: None,
             clatter: None,
+            pause: None,
         };
         let (mean, scale) = ([1.0; N_STATIC], [0.5; N_STATIC]);
         let heard = none.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
@@ -226,6 +264,7 @@ mod tests {
             jump: None,
             voice: None,
             clatter: None,
+            pause: None,
         };
         let mean = [0.0; N_STATIC];
         let heard = late.hear(
@@ -244,13 +283,46 @@ mod tests {
     fn draws_differ_and_stay_inside_the_clip() {
         let mut rng = Pcg64::seed_from_u64(3);
         let drawn: Vec<Disturbance> = (0..200)
-            .map(|_| Disturbance::draw(298, 0.0, 0.0, &mut rng))
+            .map(|_| Disturbance::draw(298, Shares::default(), &mut rng))
             .collect();
         assert!(drawn.iter().all(|d| d.first <= 298 - LEAST_FRAMES));
         assert!(drawn.iter().filter(|d| d.noise.is_some()).count() > 130);
         assert!(drawn.iter().filter(|d| d.first > 0).count() > 70);
         assert!(drawn.iter().any(|d| d.jump.is_some() && d.level_db < -10.0));
-        assert!((0..50).all(|_| Disturbance::draw(40, 0.0, 0.0, &mut rng).first == 0));
+        assert!((0..50).all(|_| Disturbance::draw(40, Shares::default(), &mut rng).first == 0));
+    }
+
+    #[test]
+    fn a_pause_is_as_loud_as_the_room_and_has_frames_of_its_own() {
+        let mut samples = tone(48_000);
+        let mut rng = Pcg64::seed_from_u64(5);
+        samples.extend((0..1600).map(|_| (20.0 * normal_f64(&mut rng)) as i16));
+        let drawn: Vec<Disturbance> = (0..100)
+            .map(|_| {
+                let pauses = Shares {
+                    pauses: 0.5,
+                    ..Shares::default()
+                };
+                Disturbance::draw(310, pauses, &mut rng)
+            })
+            .collect();
+        assert!((30..70).contains(&drawn.iter().filter(|d| d.pause.is_some()).count()));
+        let quiet = Disturbance {
+            first: 0,
+            noise: None,
+            level_db: 0.0,
+            jump: None,
+            voice: None,
+            clatter: None,
+            pause: Some((200, 0.5)),
+        };
+        let behind = &quiet.with_pause(&samples, &mut rng)[samples.len()..];
+        let power: f64 = behind.iter().map(|s| f64::from(*s).powi(2)).sum::<f64>() / behind.len() as f64;
+        assert!((8.0..12.0).contains(&power.sqrt()), "{power}");
+        let (mean, scale) = ([0.0; N_STATIC], [1.0; N_STATIC]);
+        let heard = quiet.hear(&samples, &[], &mean, &scale, &mut rng);
+        let without = Disturbance { pause: None, ..quiet }.hear(&samples, &[], &mean, &scale, &mut rng);
+        assert_eq!(heard.x.nrows(), without.x.nrows() + 200);
     }
 
     #[test]
@@ -267,6 +339,7 @@ mod tests {
                 known: Some([0.0; N_STATIC]),
             }),
             clatter: None,
+            pause: None,
         };
         let (mean, scale) = ([50.0; N_STATIC], [1.0; N_STATIC]);
         let heard = known.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
@@ -282,9 +355,13 @@ mod tests {
     #[test]
     fn other_voices_differ_and_none_are_drawn_where_none_are_wanted() {
         let mut rng = Pcg64::seed_from_u64(3);
+        let shares = |voices| Shares {
+            voices,
+            ..Shares::default()
+        };
         let mut drawn = |share| -> Vec<Option<Voice>> {
             (0..300)
-                .map(|_| Disturbance::draw(298, share, 0.0, &mut rng).voice)
+                .map(|_| Disturbance::draw(298, shares(share), &mut rng).voice)
                 .collect()
         };
         assert!(drawn(0.0).iter().all(Option::is_none));

@@ -55,6 +55,8 @@ pub struct MgeTrainSettings {
     pub other_voices: f32,
     /// Share of the disturbed hearings in which something clicks, breathes or hums that is no speech, 0 to 1.
     pub other_sounds: f32,
+    /// Share of the disturbed hearings behind which nobody speaks for half a second to two and a half, and the mouth stays where it was, 0 to 1.
+    pub pauses: f32,
     /// κ_t: weight of the error towards what the phones of clips without video say of their mouth ([`teach`](super::teach)), per frame; 0: they say nothing.
     pub taught_error: f32,
     /// κ_c: weight of lips that do not meet at p, b and m, or meet elsewhere, per frame, with video and without; 0: nothing is asked of them.
@@ -103,6 +105,7 @@ impl Default for MgeTrainSettings {
             disturbed: 0.3,
             other_voices: 0.0,
             other_sounds: 0.0,
+            pauses: 0.0,
             taught_error: 0.0,
             closure_error: 0.0,
             lip_error: 0.3,
@@ -144,9 +147,13 @@ impl MgeTrainSettings {
                 bail!(Choice, "the {name} is {share}: give 0 or more, less than 1");
             }
         }
-        for (name, share) in [("voices", self.other_voices), ("sounds", self.other_sounds)] {
+        for (name, share) in [
+            ("other voices", self.other_voices),
+            ("other sounds", self.other_sounds),
+            ("pauses", self.pauses),
+        ] {
             if !(0.0..=1.0).contains(&share) {
-                bail!(Choice, "the share of other {name} is {share}: give 0 to 1");
+                bail!(Choice, "the share of {name} is {share}: give 0 to 1");
             }
         }
         let positive = [
