@@ -69,6 +69,7 @@ fn wrong_words_are_refused() {
         &["convert", "--loud"],
         &["export"],
         &["train", "x", "-o", "y", "--sound-only", "--viterbi-start"],
+        &["evaluate", "x", "--voices", "--also", "other=y"],
     ] {
         let output = run(&folder, words);
         let error = String::from_utf8(output.stderr).unwrap();

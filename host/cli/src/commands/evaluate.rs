@@ -15,6 +15,22 @@ use lipstream_make::evaluate::{
 };
 use lipstream_make::features::FeatureFolder;
 
+/// Options that say how systems are compared: there is nothing to compare one model's mouth with.
+const OF_SYSTEMS: [&str; 12] = [
+    "systems",
+    "models",
+    "audio",
+    "predictions",
+    "also",
+    "against",
+    "noise",
+    "noise_system",
+    "babble",
+    "cold",
+    "quick",
+    "beam",
+];
+
 /// Measure systems on a feature folder: AMSE, ACC, closure, noise, cold starts, with tables and figures
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
@@ -22,11 +38,11 @@ pub(crate) struct Args {
     dir: PathBuf,
     /// Measure how well the lip gap of the model [default: the shipped one] follows that of the people in the videos DIR, whom it need not know:
     /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
-    #[arg(long, conflicts_with_all = ["systems", "models", "audio", "predictions", "also", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    #[arg(long, conflicts_with_all = OF_SYSTEMS)]
     strangers: bool,
     /// Measure how well the model [default: the shipped one] follows every speaker of the feature folder DIR, which needs no video: whether lips close at p, b, m
     /// and nowhere else, and whether visemes are the labels'. All clips, unless --split is given
-    #[arg(long, conflicts_with_all = ["strangers", "systems", "models", "audio", "predictions", "against", "noise", "noise_system", "babble", "cold", "quick", "beam"])]
+    #[arg(long, conflicts_with = "strangers", conflicts_with_all = OF_SYSTEMS)]
     voices: bool,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]

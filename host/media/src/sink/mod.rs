@@ -205,7 +205,7 @@ mod tests {
     fn png_frames_are_read_back_and_appear_together() {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("frames");
-        let mut sink = Box::new(PngFrames::new(&target, &film(), 1).unwrap());
+        let mut sink = Box::new(PngFrames::new(&target, &film()).unwrap());
         let picture: Vec<u8> = (0..768).map(|i| (i * 7 % 256) as u8).collect();
         sink.picture(&picture).unwrap();
         sink.picture(&[9; 768]).unwrap();
@@ -228,7 +228,7 @@ mod tests {
         reader.next_frame(&mut back).unwrap();
         assert_eq!(back, picture);
         // What is there is not overwritten.
-        assert!(PngFrames::new(&target, &film(), 1).is_err());
+        assert!(PngFrames::new(&target, &film()).is_err());
     }
 
     #[test]
@@ -237,7 +237,7 @@ mod tests {
         for name in ["film.mp4", "frames"] {
             let path = folder.path().join(name);
             let mut sink: Box<dyn Sink> = match name {
-                "frames" => Box::new(PngFrames::new(&path, &film(), 1).unwrap()),
+                "frames" => Box::new(PngFrames::going_on(&path, &film(), 1).unwrap()),
                 _ => Box::new(Mp4::going_on(&path, &film(), 1).unwrap()),
             };
             sink.picture(&[5; 768]).unwrap();
@@ -355,7 +355,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let target = folder.path().join("frames/");
         let part = folder.path().join("frames.part");
-        let begin = |key| PngFrames::new(&target, &film(), key).unwrap();
+        let begin = |key| PngFrames::going_on(&target, &film(), key).unwrap();
         let mut sink = begin(1);
         for number in 0..27 {
             sink.picture(&moving(number)).unwrap();
@@ -367,7 +367,8 @@ mod tests {
         std::fs::write(part.join("000027.png"), b"half").unwrap();
         let mut sink = Box::new(begin(1));
         assert_eq!(sink.begun(), Begun::Pictures(25));
-        // Another run at the same time works elsewhere.
+        // Another run at the same time works elsewhere, and one that nobody can know again.
+        assert_eq!(PngFrames::new(&target, &film()).unwrap().begun(), Begun::Nothing);
         assert_eq!(begin(1).begun(), Begun::Nothing);
         for number in 25..30 {
             sink.picture(&moving(number)).unwrap();

@@ -11,8 +11,8 @@ use crate::files::{self, FileError, aside_error, folder_of};
 pub struct PngFrames {
     folder: PathBuf,
     part: Part,
-    /// Locked as long as pictures are made.
-    _note: File,
+    /// Locked as long as pictures are made; None where nobody will go on with them.
+    note: Option<File>,
     begun: Begun,
     width: u32,
     height: u32,
@@ -21,14 +21,32 @@ pub struct PngFrames {
 }
 
 impl PngFrames {
-    /// Refuses a folder that exists: its pictures would mix with these. Until they are all there they are in a folder beside it with `.part` behind its
-    /// name; should the program be killed, that stays, and the next call with this `key`, a number for everything that the pictures depend on, goes on behind
-    /// them: see [`Sink::begun`].
+    /// Refuses a folder that exists: its pictures would mix with these. Until they are all there they are in a hidden folder beside it.
     ///
     /// # Errors
     ///
     /// That the folder is there, that there is no room beside it, or that pictures are too large.
-    pub fn new(folder: &Path, film: &Film, key: u64) -> Result<Self, SinkError> {
+    pub fn new(folder: &Path, film: &Film) -> Result<Self, SinkError> {
+        Self::begin(folder, film, |folder| {
+            Ok((Part::new(aside(folder)?.keep()), None, Begun::Nothing))
+        })
+    }
+
+    /// The same in a folder with `.part` behind its name. Should the program be killed, that stays, and the next call with this `key`, a number for everything that the
+    /// pictures depend on, goes on behind them: see [`Sink::begun`].
+    ///
+    /// # Errors
+    ///
+    /// As [`PngFrames::new`].
+    pub fn going_on(folder: &Path, film: &Film, key: u64) -> Result<Self, SinkError> {
+        Self::begin(folder, film, |folder| open(folder, key, film.fps as usize))
+    }
+
+    fn begin(
+        folder: &Path,
+        film: &Film,
+        place: impl FnOnce(&Path) -> Result<(Part, Option<File>, Begun), FileError>,
+    ) -> Result<Self, SinkError> {
         if folder.exists() {
             return Err(SinkError::Exists(folder.to_owned()));
         }
@@ -39,11 +57,11 @@ impl PngFrames {
             })
         };
         let (width, height) = (side(film.width)?, side(film.height)?);
-        let (part, note, begun) = open(folder, key, film.fps as usize)?;
+        let (part, note, begun) = place(folder)?;
         Ok(Self {
             folder: folder.to_owned(),
             part,
-            _note: note,
+            note,
             width,
             height,
             comment: film.comment.map(str::to_owned),
@@ -57,7 +75,7 @@ impl PngFrames {
 const NOTE: &str = "lipstream-key";
 
 /// The part of a folder, or a new one; and its note.
-fn open(folder: &Path, key: u64, fps: usize) -> Result<(Part, File, Begun), FileError> {
+fn open(folder: &Path, key: u64, fps: usize) -> Result<(Part, Option<File>, Begun), FileError> {
     let beside = folder_of(folder)?;
     let path = Part::beside(folder);
     let there = path.exists();
@@ -76,7 +94,7 @@ fn open(folder: &Path, key: u64, fps: usize) -> Result<(Part, File, Begun), File
         Err(error) => return Err(aside_error(beside)(error)),
     };
     let begun = claim(&part, &mut note, key, fps).map_err(aside_error(part.path()))?;
-    Ok((part, note, begun))
+    Ok((part, Some(note), begun))
 }
 
 fn taken() -> io::Error {
@@ -179,7 +197,12 @@ impl Sink for PngFrames {
     }
 
     fn finish(self: Box<Self>) -> Result<(), SinkError> {
-        let Self { folder, mut part, .. } = *self;
+        let Self {
+            folder,
+            mut part,
+            note,
+            ..
+        } = *self;
         part.keep();
         #[cfg(unix)]
         {
@@ -187,8 +210,10 @@ impl Sink for PngFrames {
             std::fs::set_permissions(part.path(), std::fs::Permissions::from_mode(0o755))
                 .map_err(|e| FileError::write(&folder, e))?;
         }
-        let note = part.path().join(NOTE);
-        std::fs::remove_file(&note).map_err(|e| FileError::write(&note, e))?;
+        if note.is_some() {
+            let note = part.path().join(NOTE);
+            std::fs::remove_file(&note).map_err(|e| FileError::write(&note, e))?;
+        }
         Ok(rename(part.path(), &folder)?)
     }
 }

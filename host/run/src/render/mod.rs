@@ -145,6 +145,11 @@ impl<'a> Player<'a> {
         self
     }
 
+    /// Pictures that were there.
+    pub fn begun(&self) -> usize {
+        self.begun
+    }
+
     /// Pictures so far, those that were there included.
     pub fn pictures(&self) -> usize {
         self.pictures

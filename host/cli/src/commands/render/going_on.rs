@@ -25,20 +25,25 @@ pub(super) fn sink(args: &Args, film: &Film) -> Result<Box<dyn Sink>> {
         .to_string_lossy()
         .ends_with(std::path::is_separator);
     if is_folder {
-        return Ok(Box::new(PngFrames::new(output, film, key(args)?)?));
+        return Ok(match key(args)? {
+            Some(key) => Box::new(PngFrames::going_on(output, film, key)?),
+            None => Box::new(PngFrames::new(output, film)?),
+        });
     }
-    Ok(match ending(output).as_str() {
-        // What comes in on standard input cannot be known again.
-        "mp4" if is_standard(&args.input) => Box::new(Mp4::new(output, film)?),
-        "mp4" => Box::new(Mp4::going_on(output, film, key(args)?)?),
-        _ => Box::new(Ffmpeg::new(output, film)?),
+    if ending(output) != "mp4" {
+        return Ok(Box::new(Ffmpeg::new(output, film)?));
+    }
+    Ok(match key(args)? {
+        Some(key) => Box::new(Mp4::going_on(output, film, key)?),
+        None => Box::new(Mp4::new(output, film)?),
     })
 }
 
 /// Pictures that need not be drawn again, which the user is told.
 pub(super) fn begun(args: &Args, sink: &dyn Sink, progress: &dyn Progress) -> usize {
     let output = args.output.display();
-    match sink.begun() {
+    let begun = sink.begun();
+    match begun {
         Begun::Nothing => {}
         Begun::Another => progress.say(&format!(
             "{output}: an interrupted run has left a part of another film there, or of this one made otherwise: it begins anew"
@@ -47,11 +52,12 @@ pub(super) fn begun(args: &Args, sink: &dyn Sink, progress: &dyn Progress) -> us
             "{output}: an interrupted run has drawn {count} pictures of this film: it goes on behind them"
         )),
     }
-    sink.begun().pictures()
+    begun.pictures()
 }
 
-/// A number for everything that a film's pictures depend on: the program, its arguments and what is in the files that they name.
-fn key(args: &Args) -> Result<u64, FileError> {
+/// A number for everything that a film's pictures depend on: the program, its arguments and what is in the files that they name. None where one of them is no file, such as
+/// standard input or a pipe: what comes out of that cannot be known again.
+fn key(args: &Args) -> Result<Option<u64>, FileError> {
     let mut hash = DefaultHasher::new();
     env!("CARGO_PKG_VERSION").hash(&mut hash);
     format!("{args:?}").hash(&mut hash);
@@ -64,18 +70,21 @@ fn key(args: &Args) -> Result<u64, FileError> {
     let files = [
         Some(&args.input),
         Some(&args.model),
-        Some(&beside),
+        Some(&beside).filter(|path| ending(&args.input) == "stream" && path.exists()),
         args.audio.as_ref(),
         args.face.background.as_ref(),
         manifest.as_ref(),
     ];
-    for path in files.into_iter().flatten().filter(|path| path.is_file()) {
+    for path in files.into_iter().flatten() {
+        if !path.is_file() {
+            return Ok(None);
+        }
         eat(path, &mut hash).map_err(|source| FileError::Read {
             path: path.clone(),
             source,
         })?;
     }
-    Ok(hash.finish())
+    Ok(Some(hash.finish()))
 }
 
 fn eat(path: &Path, hash: &mut DefaultHasher) -> std::io::Result<()> {

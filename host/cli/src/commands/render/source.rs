@@ -130,7 +130,7 @@ impl Source {
                 }
                 Ok(player.pictures())
             }
-            Source::Speech(engine) => of_speech(engine, args, sound, (player, begun), each),
+            Source::Speech(engine) => of_speech(engine, args, sound, player, each),
         }
     }
 }
@@ -140,7 +140,7 @@ fn of_speech(
     engine: &Engine,
     args: &Args,
     sound: &Sound,
-    (mut player, begun): (Player, usize),
+    mut player: Player,
     mut each: impl FnMut(&[u8]) -> Result<()>,
 ) -> Result<usize> {
     let (Some(track), Some(length)) = (sound.track(), sound.length) else {
@@ -149,7 +149,7 @@ fn of_speech(
     let all = render::length(length, args.fps);
     let mut session = engine.session(&RunSettings::default())?;
     let terminal = Terminal::default();
-    let steps = Steps::go_on(&terminal, render::PICTURES, begun, all);
+    let steps = Steps::go_on(&terminal, render::PICTURES, player.begun(), all);
     let mut picture = |rgb: &[u8]| {
         each(rgb)?;
         steps.made();
