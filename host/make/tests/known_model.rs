@@ -238,32 +238,19 @@ fn the_model_that_made_the_data_is_found_and_is_best() {
     let joint = trained(Topology::PH_HMM, &truth.phones, &stacked(few));
     let likely =
         |parameters: &Parameters, data: &[Utterance]| em::expect(parameters, data).unwrap().per_frame();
+    let row = |name, of: &Parameters| {
+        (
+            name,
+            likely(of, &unseen),
+            converted(of, Density::Streams, &unseen),
+        )
+    };
     let rows = [
-        (
-            "truth",
-            likely(&truth, &unseen),
-            converted(&truth, Density::Streams, &unseen),
-        ),
-        (
-            "ph-vi-chmm",
-            likely(&right, &unseen),
-            converted(&right, Density::Streams, &unseen),
-        ),
-        (
-            "ph-vi-chmm-2",
-            likely(&wide, &unseen),
-            converted(&wide, Density::Streams, &unseen),
-        ),
-        (
-            "ph-chmm",
-            likely(&phones, &unseen),
-            converted(&phones, Density::Streams, &unseen),
-        ),
-        (
-            "ph-mshmm",
-            likely(&one, &unseen),
-            converted(&one, Density::Streams, &unseen),
-        ),
+        row("truth", &truth),
+        row("ph-vi-chmm", &right),
+        row("ph-vi-chmm-2", &wide),
+        row("ph-chmm", &phones),
+        row("ph-mshmm", &one),
         (
             "ph-hmm",
             likely(&joint, &stacked(&unseen)),

@@ -15,7 +15,7 @@ pub struct Changes {
     seconds: f64,
 }
 
-fn likeliest(row: ArrayView1<f32>) -> usize {
+pub(super) fn likeliest(row: ArrayView1<f32>) -> usize {
     (0..row.len())
         .max_by(|&a, &b| row[a].total_cmp(&row[b]))
         .unwrap_or(0)

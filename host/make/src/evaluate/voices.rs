@@ -12,10 +12,10 @@ use lipstream::opening::OpeningReader;
 use lipstream::phones::Phone;
 use lipstream::progress::{Progress, Steps};
 use lipstream_media::sound;
-use ndarray::ArrayView1;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::changes::likeliest;
 use super::closure::bilabials;
 use crate::error::{Error, Result, bail};
 use crate::features::{Clip, FeatureFolder, PhonesFrom, Split};
@@ -126,11 +126,6 @@ fn hear(folder: &FeatureFolder, clip: &Clip, engine: &Engine, reader: &OpeningRe
         .collect();
     let visemes: Vec<usize> = said.visemes.outer_iter().map(likeliest).collect();
     Ok(count(clip, &closed, &visemes))
-}
-
-fn likeliest(weights: ArrayView1<f32>) -> usize {
-    let best = weights.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
-    best.map_or(0, |(at, _)| at)
 }
 
 /// Counts one clip of which is said in every frame whether the lips are closed, and which viseme is the likeliest.

@@ -234,7 +234,9 @@ impl Trainer<'_> {
             .mouth
             .as_ref()
             .map(|mouth| piece.cut(&held(mouth, first, length), piece.frames));
-        if let (Some(gap), Of::Person | Of::Heard) = (&self.data.gap, piece.of) {
+        if let (Some(gap), Of::Person | Of::Heard) = (&self.data.gap, piece.of)
+            && settings.closure_error > 0.0
+        {
             let filmed = mouth.as_ref().filter(|_| piece.of == Of::Person);
             let wrong = gap.wrong(tape.output.view(), filmed.map(|mouth| mouth.view()), &targets);
             for (t, e) in wrong.iter().enumerate() {

@@ -51,8 +51,8 @@ pub struct Shares {
     pub pauses: f32,
 }
 
-/// What happens to one clip.
-#[derive(Clone, Copy, Debug)]
+/// What happens to one clip; by default nothing.
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Disturbance {
     first: usize,
     noise: Option<(noise::Kind, f64)>,
@@ -231,15 +231,7 @@ mod tests {
     #[test]
     fn an_undisturbed_clip_is_heard_as_it_was() {
         let samples = tone(48_000);
-        let none = Disturbance {
-            first: 0,
-            noise: None,
-            level_db: 0.0,
-            jump: None,
-            voice: None,
-            clatter: None,
-            pause: None,
-        };
+        let none = Disturbance::default();
         let (mean, scale) = ([1.0; N_STATIC], [0.5; N_STATIC]);
         let heard = none.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
         let want = normalise::causal(reference::statics(&samples).view(), &mean);
@@ -259,12 +251,7 @@ mod tests {
         let samples = tone(48_000);
         let late = Disturbance {
             first: 70,
-            noise: None,
-            level_db: 0.0,
-            jump: None,
-            voice: None,
-            clatter: None,
-            pause: None,
+            ..Disturbance::default()
         };
         let mean = [0.0; N_STATIC];
         let heard = late.hear(
@@ -308,13 +295,8 @@ mod tests {
             .collect();
         assert!((30..70).contains(&drawn.iter().filter(|d| d.pause.is_some()).count()));
         let quiet = Disturbance {
-            first: 0,
-            noise: None,
-            level_db: 0.0,
-            jump: None,
-            voice: None,
-            clatter: None,
             pause: Some((200, 0.5)),
+            ..Disturbance::default()
         };
         let behind = &quiet.with_pause(&samples, &mut rng)[samples.len()..];
         let power: f64 = behind.iter().map(|s| f64::from(*s).powi(2)).sum::<f64>() / behind.len() as f64;
@@ -329,17 +311,12 @@ mod tests {
     fn a_voice_that_is_known_has_no_mean_left() {
         let samples = tone(48_000);
         let known = Disturbance {
-            first: 0,
-            noise: None,
-            level_db: 0.0,
-            jump: None,
             voice: Some(Voice {
                 factor: 1.1,
                 tilt: 0.2,
                 known: Some([0.0; N_STATIC]),
             }),
-            clatter: None,
-            pause: None,
+            ..Disturbance::default()
         };
         let (mean, scale) = ([50.0; N_STATIC], [1.0; N_STATIC]);
         let heard = known.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));

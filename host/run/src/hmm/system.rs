@@ -45,25 +45,20 @@ const fn of(name: &'static str, topology: Topology, density: Density, speech: Sp
     }
 }
 
+/// A system with a mixture per stream.
+const fn streams(name: &'static str, topology: Topology, speech: Speech) -> System {
+    of(name, topology, Density::Streams, speech)
+}
+
 /// Every system that can be trained: the paper's six first, those that speak otherwise from the same HMMs after them, then
 /// variants of the HMMs: chains that may be two or three states apart, and densities of the mouth on pairs of states.
 pub const SYSTEMS: [System; 26] = [
     of("ph-hmm", Topology::PH_HMM, Density::Joint, Speech::Means),
-    of("ph-mshmm", Topology::PH_HMM, Density::Streams, Speech::Means),
-    of("ph-fhmm", Topology::PH_FHMM, Density::Streams, Speech::Means),
-    of(
-        "ph-vi-fhmm",
-        Topology::PH_VI_FHMM,
-        Density::Streams,
-        Speech::Means,
-    ),
-    of("ph-chmm", Topology::PH_CHMM, Density::Streams, Speech::Means),
-    of(
-        "ph-vi-chmm",
-        Topology::PH_VI_CHMM,
-        Density::Streams,
-        Speech::Means,
-    ),
+    streams("ph-mshmm", Topology::PH_HMM, Speech::Means),
+    streams("ph-fhmm", Topology::PH_FHMM, Speech::Means),
+    streams("ph-vi-fhmm", Topology::PH_VI_FHMM, Speech::Means),
+    streams("ph-chmm", Topology::PH_CHMM, Speech::Means),
+    streams("ph-vi-chmm", Topology::PH_VI_CHMM, Speech::Means),
     of("viterbi", Topology::PH_HMM, Density::Joint, Speech::Viterbi),
     of(
         "posterior-ph-hmm",
@@ -71,112 +66,47 @@ pub const SYSTEMS: [System; 26] = [
         Density::Joint,
         Speech::Posterior,
     ),
-    of(
-        "posterior-ph-mshmm",
-        Topology::PH_HMM,
-        Density::Streams,
-        Speech::Posterior,
-    ),
-    of(
-        "posterior-ph-fhmm",
-        Topology::PH_FHMM,
-        Density::Streams,
-        Speech::Posterior,
-    ),
-    of(
-        "posterior-ph-vi-fhmm",
-        Topology::PH_VI_FHMM,
-        Density::Streams,
-        Speech::Posterior,
-    ),
-    of(
-        "posterior-ph-chmm",
-        Topology::PH_CHMM,
-        Density::Streams,
-        Speech::Posterior,
-    ),
-    of(
-        "posterior-ph-vi-chmm",
-        Topology::PH_VI_CHMM,
-        Density::Streams,
-        Speech::Posterior,
-    ),
-    of(
-        "local-linear",
-        Topology::PH_VI_CHMM,
-        Density::Streams,
-        Speech::LocalLinear,
-    ),
+    streams("posterior-ph-mshmm", Topology::PH_HMM, Speech::Posterior),
+    streams("posterior-ph-fhmm", Topology::PH_FHMM, Speech::Posterior),
+    streams("posterior-ph-vi-fhmm", Topology::PH_VI_FHMM, Speech::Posterior),
+    streams("posterior-ph-chmm", Topology::PH_CHMM, Speech::Posterior),
+    streams("posterior-ph-vi-chmm", Topology::PH_VI_CHMM, Speech::Posterior),
+    streams("local-linear", Topology::PH_VI_CHMM, Speech::LocalLinear),
     of(
         "local-linear-ph-hmm",
         Topology::PH_HMM,
         Density::Joint,
         Speech::LocalLinear,
     ),
-    of(
-        "local-linear-ph-chmm",
-        Topology::PH_CHMM,
-        Density::Streams,
-        Speech::LocalLinear,
-    ),
-    of(
-        "ph-fhmm-pairs",
-        Topology::PH_FHMM_PAIRS,
-        Density::Streams,
-        Speech::Means,
-    ),
-    of(
-        "ph-chmm-2",
-        Topology::PH_CHMM.within(2),
-        Density::Streams,
-        Speech::Means,
-    ),
-    of(
-        "ph-chmm-3",
-        Topology::PH_CHMM.within(3),
-        Density::Streams,
-        Speech::Means,
-    ),
-    of(
-        "ph-vi-chmm-2",
-        Topology::PH_VI_CHMM.within(2),
-        Density::Streams,
-        Speech::Means,
-    ),
-    of(
-        "ph-vi-chmm-3",
-        Topology::PH_VI_CHMM.within(3),
-        Density::Streams,
-        Speech::Means,
-    ),
-    of(
+    streams("local-linear-ph-chmm", Topology::PH_CHMM, Speech::LocalLinear),
+    streams("ph-fhmm-pairs", Topology::PH_FHMM_PAIRS, Speech::Means),
+    streams("ph-chmm-2", Topology::PH_CHMM.within(2), Speech::Means),
+    streams("ph-chmm-3", Topology::PH_CHMM.within(3), Speech::Means),
+    streams("ph-vi-chmm-2", Topology::PH_VI_CHMM.within(2), Speech::Means),
+    streams("ph-vi-chmm-3", Topology::PH_VI_CHMM.within(3), Speech::Means),
+    streams(
         "posterior-ph-fhmm-pairs",
         Topology::PH_FHMM_PAIRS,
-        Density::Streams,
         Speech::Posterior,
     ),
-    of(
+    streams(
         "posterior-ph-chmm-2",
         Topology::PH_CHMM.within(2),
-        Density::Streams,
         Speech::Posterior,
     ),
-    of(
+    streams(
         "posterior-ph-chmm-3",
         Topology::PH_CHMM.within(3),
-        Density::Streams,
         Speech::Posterior,
     ),
-    of(
+    streams(
         "posterior-ph-vi-chmm-2",
         Topology::PH_VI_CHMM.within(2),
-        Density::Streams,
         Speech::Posterior,
     ),
-    of(
+    streams(
         "posterior-ph-vi-chmm-3",
         Topology::PH_VI_CHMM.within(3),
-        Density::Streams,
         Speech::Posterior,
     ),
 ];
@@ -185,12 +115,7 @@ impl System {
     /// X&L's own system.
     pub const PH_VI_CHMM: System = SYSTEMS[5];
     /// The coupled HMM with local linear maps, which the device runs.
-    pub const LOCAL_LINEAR: System = of(
-        "local-linear",
-        Topology::PH_VI_CHMM,
-        Density::Streams,
-        Speech::LocalLinear,
-    );
+    pub const LOCAL_LINEAR: System = streams("local-linear", Topology::PH_VI_CHMM, Speech::LocalLinear);
 
     /// The system of this name; none if there is no such system.
     pub fn from_name(name: &str) -> Option<Self> {
