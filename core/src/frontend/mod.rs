@@ -12,6 +12,7 @@ pub mod log;
 pub mod magnitude;
 pub mod mel;
 pub mod normalise;
+pub mod offset;
 pub mod preemphasis;
 pub mod window;
 
@@ -19,6 +20,7 @@ use delta::{Deltas, LOOK_AHEAD};
 use energy::Energy;
 use fft::{Complex, FFT_HALF};
 use normalise::Normaliser;
+use offset::Offset;
 
 /// Frames by which an observation comes after its statics.
 pub const OBSERVATION_DELAY: usize = 2 * LOOK_AHEAD;
@@ -28,7 +30,7 @@ pub const OBSERVATION_DELAY: usize = 2 * LOOK_AHEAD;
 pub struct Config {
     /// Mean of the 13 raw statics over the training speech, Q7.8: where the causal mean starts.
     pub start_mean: [i16; N_STATIC],
-    /// Whether the causal mean is taken off the statics.
+    /// Whether the offset is taken off the samples and the causal mean off the statics.
     pub normalise: bool,
 }
 
@@ -56,6 +58,7 @@ enum Phase {
 pub struct FrontEnd {
     config: Config,
     phase: Phase,
+    offset: Offset,
     /// The window being filled.
     samples: Window,
     filled: usize,
@@ -89,6 +92,7 @@ impl FrontEnd {
         Self {
             config,
             phase: Phase::Running,
+            offset: Offset::default(),
             samples: Window([0; FRAME_SAMPLES]),
             filled: 0,
             index: 0,
@@ -107,6 +111,7 @@ impl FrontEnd {
     /// Starts a new stream, with the start mean.
     pub fn reset(&mut self) {
         self.phase = Phase::Running;
+        self.offset = Offset::default();
         self.filled = 0;
         self.index = 0;
         self.energy = Energy::default();
@@ -123,7 +128,11 @@ impl FrontEnd {
         }
         let space = &mut self.samples.0[self.filled..];
         let taken = samples.len().min(space.len());
-        space[..taken].copy_from_slice(&samples[..taken]);
+        if self.config.normalise {
+            self.offset.take_off(&samples[..taken], &mut space[..taken]);
+        } else {
+            space[..taken].copy_from_slice(&samples[..taken]);
+        }
         self.filled += taken;
         if self.filled < FRAME_SAMPLES {
             return (taken, None);

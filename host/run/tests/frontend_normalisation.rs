@@ -11,7 +11,7 @@ const E: usize = N_STATIC - 1;
 /// Which frames the gate calls speech.
 fn speech(samples: &[i16]) -> Vec<bool> {
     let mut gate = normalise::SpeechGate::default();
-    let raw = reference::statics(samples);
+    let raw = reference::live_statics(samples);
     raw.column(E).iter().map(|&e| gate.next(e)).collect()
 }
 
@@ -19,7 +19,7 @@ fn speech(samples: &[i16]) -> Vec<bool> {
 #[test]
 fn the_time_constant_is_256_frames_of_speech() {
     let voice = sounds::voice(20.0, 8000.0);
-    let raw = reference::statics(&voice);
+    let raw = reference::live_statics(&voice);
     let open = speech(&voice);
     // Two streams that start 8 apart in every number approach each other frame by frame of speech.
     let far = normalise::causal(raw.view(), &[8.0; N_STATIC]);
@@ -109,4 +109,32 @@ fn the_integer_mean_is_exact_to_a_thousandth() {
     }
     println!("off by {worst:.5} at most");
     assert!(worst <= 0.5 / 256.0 + 0.001, "off by {worst}");
+}
+
+/// The zero of a sound is taken off within a rounding of real numbers, wherever it lies and however the sound is cut; a voice keeps
+/// its level, and what is silence but for its zero becomes digital silence.
+#[test]
+fn the_zero_of_the_sound_is_found() {
+    let voice = sounds::voice(2.0, 8000.0);
+    let shifted = |by: i16| -> Vec<i16> { voice.iter().map(|x| x.saturating_add(by)).collect() };
+    for by in [0, 98, -3000] {
+        let samples = shifted(by);
+        let got = reference::without_offset(&samples);
+        let mut zero = f64::from(samples[0]);
+        for (n, (x, y)) in samples.iter().zip(&got).enumerate() {
+            zero += (f64::from(*x) - zero) / 128.0;
+            let error = f64::from(*x) - zero - f64::from(*y);
+            assert!(error.abs() <= 1.0, "offset {by}, sample {n}: off by {error}");
+        }
+        let at_once = reference::without_offset(&voice);
+        let apart = got.iter().zip(&at_once).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(apart <= Some(1), "offset {by} is heard: {apart:?}");
+    }
+    let power = |samples: &[i16]| samples.iter().map(|x| f64::from(*x).powi(2)).sum::<f64>();
+    let kept_db = 10.0 * (power(&reference::without_offset(&voice)) / power(&voice)).log10();
+    assert!(kept_db.abs() < 0.5, "the voice changes by {kept_db} dB");
+    assert!(reference::without_offset(&[98; 4000]).iter().all(|y| *y == 0));
+    // A step into silence with an offset is over within the window that holds it and the four behind it.
+    let step: Vec<i16> = [0; 4000].into_iter().chain([98; 4000]).collect();
+    assert!(reference::without_offset(&step)[5000..].iter().all(|y| *y == 0));
 }

@@ -105,7 +105,7 @@ fn a_new_stream_starts_from_the_beginning() {
 
 /// Mean of normalised E over what the gate lets through, from `from` to `to` seconds.
 fn speech_level(samples: &[i16], from: f64, to: f64) -> (f64, f64) {
-    let raw = reference::statics(samples);
+    let raw = reference::live_statics(samples);
     let float = normalise::causal(raw.view(), &start_mean());
     let fixed = frontend::observations(samples, causal());
     let mut gate = normalise::SpeechGate::default();
@@ -156,7 +156,7 @@ fn steady_sounds_do_not_pull_the_mean() {
         ("faint hiss", sounds::hiss(60.0, 4.0)),
     ] {
         let samples: Vec<i16> = voice.iter().chain(&steady).chain(&voice).copied().collect();
-        let raw = reference::statics(&samples);
+        let raw = reference::live_statics(&samples);
         let normalised = normalise::causal(raw.view(), &start_mean());
         let mean_at = |second: f64| {
             let t = (second * 100.0) as usize;

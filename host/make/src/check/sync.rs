@@ -129,7 +129,7 @@ impl Ear {
             heard[0].push(opening.gap);
             heard[1].push(opening.width);
         }
-        let energy = reference::statics(samples);
+        let energy = reference::live_statics(samples);
         heard[2].extend(energy.column(N_STATIC - 1).iter().map(|energy| *energy as f32));
         Ok(heard.map(|series| without_slow(&series, SLOW_S * 1e3 / HOP_MS)))
     }

@@ -333,7 +333,7 @@ fn listen_to(
         start: *start as f32,
         end: *end as f32,
     });
-    let statics = reference::statics(&samples);
+    let statics = reference::live_statics(&samples);
     let mut clip = Clip {
         id: source.id.clone(),
         speaker: source.speaker.clone(),

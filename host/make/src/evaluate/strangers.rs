@@ -169,7 +169,7 @@ fn hear(samples: &[i16], engine: &Engine, reader: &OpeningReader) -> Result<Hear
     let mut known = samples[..whole].repeat(times);
     known.extend_from_slice(samples);
     let gap_known = say(&known)?[times * whole / HOP_SAMPLES..].to_vec();
-    let statics = reference::statics(samples);
+    let statics = reference::live_statics(samples);
     let energy: Vec<f32> = statics.column(N_STATIC - 1).iter().map(|e| *e as f32).collect();
     Ok(Heard {
         gap: said.iter().map(|opening| opening.gap).collect(),

@@ -306,7 +306,7 @@ impl Reader<'_> {
         let work = |n: usize| {
             let u = clips.get(n)?.into_owned();
             let samples = samples(folder, &u.id)?;
-            let raw = reference::statics(&samples);
+            let raw = reference::live_statics(&samples);
             let x = normalise::causal(raw.view(), &self.start_mean).mapv(|v| v as f32)
                 * ArrayView1::from(self.scale);
             let with = (&self.start_mean, self.scale);

@@ -8,7 +8,7 @@ use rand::{Rng, RngExt};
 use super::clatter::Clatter;
 use crate::noise;
 use lipstream::random::{normal, normal_f64};
-use lipstream::reference::{Analyser, SpeechMean, normalise};
+use lipstream::reference::{Analyser, SpeechMean, normalise, without_offset};
 
 /// A clip heard once more.
 #[derive(Clone, Debug, PartialEq)]
@@ -165,7 +165,7 @@ impl Disturbance {
         }
         let from = (self.first * HOP_SAMPLES).min(sound.len().saturating_sub(FRAME_SAMPLES));
         let factor = self.voice.map_or(1.0, |voice| voice.factor);
-        let raw = Analyser::of_voice(factor).statics(&sound[from..]);
+        let raw = Analyser::of_voice(factor).statics(&without_offset(&sound[from..]));
         let mut mean = *start_mean;
         if let Some(mistaken) = self.voice.and_then(|voice| voice.known)
             && let Some(own) = speech_mean(&raw)
@@ -234,7 +234,7 @@ mod tests {
         let none = Disturbance::default();
         let (mean, scale) = ([1.0; N_STATIC], [0.5; N_STATIC]);
         let heard = none.hear(&samples, &[], &mean, &scale, &mut Pcg64::seed_from_u64(1));
-        let want = normalise::causal(reference::statics(&samples).view(), &mean);
+        let want = normalise::causal(reference::live_statics(&samples).view(), &mean);
         assert_eq!(heard.first, 0);
         assert_eq!(heard.x.nrows(), want.nrows());
         assert!(
@@ -261,9 +261,9 @@ mod tests {
             &[1.0; N_STATIC],
             &mut Pcg64::seed_from_u64(1),
         );
-        let raw = reference::statics(&samples);
-        assert_eq!((heard.first, heard.x.nrows()), (70, raw.nrows() - 70));
-        assert!((f64::from(heard.x[[0, 3]]) - raw[[70, 3]]).abs() < 1e-4);
+        let raw = reference::live_statics(&samples[70 * HOP_SAMPLES..]);
+        assert_eq!((heard.first, heard.x.nrows()), (70, raw.nrows()));
+        assert!((f64::from(heard.x[[0, 3]]) - raw[[0, 3]]).abs() < 1e-4);
     }
 
     #[test]

@@ -14,12 +14,14 @@ pub mod log;
 pub mod mel;
 pub mod normalise;
 pub mod observer;
+pub mod offset;
 pub mod preemphasis;
 pub mod window;
 
 pub use crate::time::frame_count;
 pub use delta::deltas;
 pub use normalise::{Normalisation, SpeechMean, speech_mean};
+pub use offset::without_offset;
 
 /// Everything that does not depend on the sound, made once.
 pub struct Analyser {
@@ -75,18 +77,27 @@ impl Analyser {
     }
 }
 
-/// Raw statics of a whole sound, `[frames, 13]`: c1..c12, E.
+/// Raw statics of a whole sound as it is, `[frames, 13]`: c1..c12, E, as HTK computes them.
 pub fn statics(samples: &[i16]) -> Array2<f64> {
     Analyser::default().statics(samples)
 }
 
+/// Raw statics of a whole sound less its offset: those that the causal mean is taken of.
+pub fn live_statics(samples: &[i16]) -> Array2<f64> {
+    statics(&without_offset(samples))
+}
+
 /// Statics, Δ and ΔΔ of a whole sound, `[frames, 39]`. Δ and ΔΔ are always those of the raw statics.
 pub fn observations(samples: &[i16], normalisation: Normalisation) -> Array2<f32> {
-    observations_of_statics(statics(samples).view(), normalisation)
+    let raw = match normalisation {
+        Normalisation::None => statics(samples),
+        Normalisation::Causal { .. } => live_statics(samples),
+    };
+    observations_of_statics(raw.view(), normalisation)
 }
 
 /// [`observations`] from raw statics that are already there.
-pub fn observations_of_statics(raw: ArrayView2<f64>, normalisation: Normalisation) -> Array2<f32> {
+fn observations_of_statics(raw: ArrayView2<f64>, normalisation: Normalisation) -> Array2<f32> {
     let first = deltas(raw);
     let second = deltas(first.view());
     let mut all = concatenate(Axis(1), &[raw, first.view(), second.view()]).expect("same number of frames");

@@ -158,11 +158,11 @@ impl SpeechMean {
     }
 }
 
-/// Mean of raw statics over the speech in `clips`: what `prepare` writes as the start mean. None without speech.
+/// Mean of raw statics over the speech in `clips`, offsets taken off: what `prepare` writes as the start mean. None without speech.
 pub fn speech_mean<C: AsRef<[i16]>>(clips: impl IntoIterator<Item = C>) -> Option<[f32; N_STATIC]> {
     let mut mean = SpeechMean::default();
     for clip in clips {
-        mean.add(super::statics(clip.as_ref()).view());
+        mean.add(super::live_statics(clip.as_ref()).view());
     }
     mean.mean()
 }

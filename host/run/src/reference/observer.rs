@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 
 use lipstream_core::frontend::OBSERVATION_DELAY;
+use lipstream_core::frontend::offset::Offset;
 use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_OBSERVATION, N_STATIC};
 
 use super::delta::WIDTH;
@@ -22,7 +23,8 @@ pub struct Observed {
 /// A stream's front end.
 pub struct Observer {
     analyser: Analyser,
-    causal: Option<Causal>,
+    /// What is taken off samples and statics; none for HTK's own.
+    normaliser: Option<(Offset, Causal)>,
     /// Samples that the next window begins with.
     samples: Vec<i16>,
     /// Raw and normalised statics of the last frames, the newest at the end.
@@ -38,9 +40,9 @@ impl Observer {
     pub fn new(normalisation: Normalisation) -> Self {
         Self {
             analyser: Analyser::default(),
-            causal: match normalisation {
+            normaliser: match normalisation {
                 Normalisation::None => None,
-                Normalisation::Causal { start_mean } => Some(Causal::new(&start_mean)),
+                Normalisation::Causal { start_mean } => Some((Offset::default(), Causal::new(&start_mean))),
             },
             samples: Vec::with_capacity(FRAME_SAMPLES),
             frames: VecDeque::new(),
@@ -53,7 +55,11 @@ impl Observer {
     pub fn push(&mut self, mut samples: &[i16], mut each: impl FnMut(Observed)) {
         while !samples.is_empty() {
             let (now, rest) = samples.split_at(samples.len().min(FRAME_SAMPLES - self.samples.len()));
+            let from = self.samples.len();
             self.samples.extend(now);
+            if let Some((offset, _)) = &mut self.normaliser {
+                offset.take_off(now, &mut self.samples[from..]);
+            }
             samples = rest;
             if self.samples.len() == FRAME_SAMPLES {
                 each(self.window());
@@ -75,8 +81,8 @@ impl Observer {
 
     fn window(&mut self) -> Observed {
         let raw = self.analyser.frame(&self.samples);
-        let statics = match &mut self.causal {
-            Some(causal) => causal.next(&raw),
+        let statics = match &mut self.normaliser {
+            Some((_, causal)) => causal.next(&raw),
             None => raw,
         };
         self.frames.push_back((raw, statics));
