@@ -11,6 +11,9 @@ use lipstream_core::{FRAME_SAMPLES, N_CEPSTRA, SAMPLE_RATE_HZ};
 
 use lipstream::reference::dct::LIFTER;
 use lipstream::reference::fft::FFT_POINTS;
+use lipstream::reference::floor;
+use lipstream::reference::mel::Filterbank;
+use lipstream::reference::window::hamming;
 
 /// A generated file: its name in `core/src/tables/` and its text.
 pub(crate) struct TableFile {
@@ -20,7 +23,7 @@ pub(crate) struct TableFile {
 
 /// All generated files.
 pub(crate) fn generate() -> Vec<TableFile> {
-    vec![window(), fft(), root(), mel(), log(), dct()]
+    vec![window(), fft(), root(), mel(), floor(), log(), dct()]
 }
 
 /// Rounds to a fixed-point type, saturating, and keeps the largest error.
@@ -194,6 +197,23 @@ fn mel() -> TableFile {
         &shares,
     );
     TableFile { name: "mel.rs", text }
+}
+
+fn floor() -> TableFile {
+    let mut rounder = Rounder::new();
+    let hiss = floor::channels(&Filterbank::default(), &hamming());
+    let entries = hiss.map(|sum| rounder.round::<U16F16>(sum));
+    let mut text = header("The hiss under every sound.", rounder.worst);
+    constant(
+        &mut text,
+        "Mean sum of each mel channel in white noise of `LEVEL` LSB rms, Q16.",
+        "FLOOR: [u32; 26]",
+        &entries,
+    );
+    TableFile {
+        name: "floor.rs",
+        text,
+    }
 }
 
 fn log() -> TableFile {

@@ -8,6 +8,7 @@ pub mod dct;
 pub mod delta;
 pub mod energy;
 pub mod fft;
+pub mod floor;
 pub mod log;
 pub mod magnitude;
 pub mod mel;
@@ -30,7 +31,8 @@ pub const OBSERVATION_DELAY: usize = 2 * LOOK_AHEAD;
 pub struct Config {
     /// Mean of the 13 raw statics over the training speech, Q7.8: where the causal mean starts.
     pub start_mean: [i16; N_STATIC],
-    /// Whether the offset is taken off the samples and the causal mean off the statics.
+    /// Whether the sound is heard as a room's: its offset is taken off, a floor lies under it ([`offset`], [`floor`]) and the causal mean is taken off
+    /// the statics. Otherwise the numbers are HTK's.
     pub normalise: bool,
 }
 
@@ -175,8 +177,13 @@ impl FrontEnd {
         let mut channels = [0; mel::N_MEL];
         mel::filterbank(magnitudes, &mut channels);
         // Q(4 + s) magnitudes, Q16 shares.
+        let mut heard = sum;
+        if self.config.normalise {
+            heard += floor::ENERGY;
+            floor::add(&mut channels, 4 + headroom);
+        }
         let log_mel = log::log_mel(&channels, 4 + headroom + 16);
-        let mut statics = [energy::log_energy(sum); N_STATIC];
+        let mut statics = [energy::log_energy(heard); N_STATIC];
         let mut cepstra = [0; N_CEPSTRA];
         dct::cepstra(&log_mel, &mut cepstra);
         statics[..N_CEPSTRA].copy_from_slice(&cepstra);

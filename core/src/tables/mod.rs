@@ -3,6 +3,7 @@
 
 pub mod dct;
 pub mod fft;
+pub mod floor;
 pub mod log;
 pub mod mel;
 pub mod root;

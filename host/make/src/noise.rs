@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::hash::fnv1a;
 use lipstream::random::normal_f64;
 use lipstream::reference::normalise::SpeechGate;
-use lipstream::reference::{energy, frame_count};
+use lipstream::reference::{energy, floor, frame_count};
 
 /// What is heard beside the speaker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -79,7 +79,7 @@ pub fn speech(samples: &[i16]) -> Vec<bool> {
             .iter()
             .map(|&s| f64::from(s))
             .collect();
-        if gate.next(energy::log_energy(&frame)) {
+        if gate.next(energy::log_energy(&frame, floor::ENERGY)) {
             // The hop in the middle of the window.
             let from = t * HOP_SAMPLES + (lipstream_core::FRAME_SAMPLES - HOP_SAMPLES) / 2;
             is_speech[from..from + HOP_SAMPLES].fill(true);

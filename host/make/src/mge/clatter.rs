@@ -9,10 +9,10 @@ use lipstream::random::normal_f64;
 use lipstream_core::SAMPLE_RATE_HZ;
 
 /// How loud the loudest of it is beside the loudest of the clip, dB.
-const LEVELS_DB: std::ops::Range<f64> = -30.0..-3.0;
+const LEVELS_DB: std::ops::Range<f64> = -30.0..0.0;
 /// Clicks a second, and how long one rings, in seconds.
 const CLICKS_HZ: std::ops::Range<f64> = 0.5..3.0;
-const RINGS_S: std::ops::Range<f64> = 0.0005..0.01;
+const RINGS_S: std::ops::Range<f64> = 0.0002..0.01;
 /// Breaths a second.
 const BREATHS_HZ: std::ops::Range<f64> = 0.25..1.0;
 
@@ -71,7 +71,13 @@ fn clicks(length: usize, rng: &mut Pcg64) -> Vec<f64> {
     let count = (seconds(length) * rng.random_range(CLICKS_HZ)).ceil() as usize;
     for _ in 0..count {
         let (at, size) = (rng.random_range(0..length.max(1)), rng.random_range(0.3..1.0));
-        let (ring, hz) = (rng.random_range(RINGS_S), rng.random_range(0.0..4000.0));
+        // A contact or a knock on the microphone rings not at all.
+        let (ring, is_dull) = (rng.random_range(RINGS_S), rng.random::<bool>());
+        let hz = if is_dull {
+            0.0
+        } else {
+            rng.random_range(0.0..4000.0)
+        };
         for (n, value) in sound[at.min(length)..].iter_mut().take(4000).enumerate() {
             let time = seconds(n);
             *value += size * (-time / ring).exp() * (std::f64::consts::TAU * hz * time).cos();

@@ -39,7 +39,10 @@ impl Observer {
     /// A stream from its first sample on.
     pub fn new(normalisation: Normalisation) -> Self {
         Self {
-            analyser: Analyser::default(),
+            analyser: match normalisation {
+                Normalisation::None => Analyser::default(),
+                Normalisation::Causal { .. } => Analyser::of_voice(1.0),
+            },
             normaliser: match normalisation {
                 Normalisation::None => None,
                 Normalisation::Causal { start_mean } => Some((Offset::default(), Causal::new(&start_mean))),
