@@ -4,7 +4,9 @@ mod common;
 use common::sounds;
 use lipstream::reference::{self, Normalisation, normalise};
 use lipstream_core::N_STATIC;
+use lipstream_core::frontend::floor::LEVEL;
 use lipstream_core::frontend::normalise::Normaliser;
+use rand::SeedableRng as _;
 
 const E: usize = N_STATIC - 1;
 
@@ -137,4 +139,26 @@ fn the_zero_of_the_sound_is_found() {
     // A step into silence with an offset is over within the window that holds it and the four behind it.
     let step: Vec<i16> = [0; 4000].into_iter().chain([98; 4000]).collect();
     assert!(reference::without_offset(&step)[5000..].iter().all(|y| *y == 0));
+}
+
+/// The floor is the mean of what white noise of its level brings to each channel and to the energy: digital silence is heard as that noise is in HTK's numbers,
+/// and noise 30 dB louder hardly hears it.
+#[test]
+fn digital_silence_is_a_quiet_room() {
+    let mut rng = rand_pcg::Pcg64::seed_from_u64(4);
+    let mut hiss = |level: f64| -> Vec<i16> {
+        (0..160_000)
+            .map(|_| (level * lipstream::random::normal_f64(&mut rng)).round() as i16)
+            .collect()
+    };
+    let mean = |raw: ndarray::Array2<f64>| raw.mean_axis(ndarray::Axis(0)).expect("frames");
+    let room = mean(reference::statics(&hiss(LEVEL as f64)));
+    let silence = mean(reference::live_statics(&[0; 16_000]));
+    for (i, (a, b)) in room.iter().zip(&silence).enumerate() {
+        // Logarithms of single windows lie below that of their mean, alike in all channels.
+        assert!((a - b).abs() < 0.5, "static {i}: {a} in the room, {b} in silence");
+    }
+    let loud = hiss(30.0 * LEVEL as f64);
+    let apart = mean(reference::live_statics(&loud)) - mean(reference::statics(&loud));
+    assert!(apart.iter().all(|d| d.abs() < 0.2), "{apart}");
 }
