@@ -55,7 +55,7 @@ fn every_command_explains_itself() {
     // On what terms program and model are to be had.
     let long = succeed(&folder, &["--version"]);
     assert!(
-        long.starts_with(short) && long.contains("MIT") && long.contains("no commercial use"),
+        long.starts_with(short) && long.contains("MIT") && long.contains("CC BY 4.0"),
         "{long}"
     );
 }

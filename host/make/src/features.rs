@@ -23,8 +23,8 @@ use lipstream::npy::read_npy;
 use lipstream::phones::Phone;
 use lipstream_media::files;
 
-/// Version of the folder's layout; another version is refused in words.
-pub const MANIFEST_VERSION: u32 = 1;
+/// Version of the folder: raised whenever its layout or the numbers of the front end change; another version is refused in words.
+pub const MANIFEST_VERSION: u32 = 2;
 
 /// What is in a feature folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -179,7 +179,7 @@ impl FeatureFolder {
         if manifest.version != MANIFEST_VERSION {
             bail!(
                 File,
-                "{} has layout version {}, this program reads {MANIFEST_VERSION}: run `lipstream prepare` again",
+                "{} is of version {}, this program reads {MANIFEST_VERSION}: run `lipstream prepare` again",
                 path.display(),
                 manifest.version
             );

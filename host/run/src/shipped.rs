@@ -8,7 +8,7 @@ pub const MODEL: &[u8] = include_bytes!("../shipped/grid-s1.safetensors");
 pub const VERSION: &str = concat!(
     env!("CARGO_PKG_VERSION"),
     "\nprogram: MIT or Apache-2.0\n",
-    "shipped model: no commercial use (CC BY-NC-SA, for it has heard TIMIT; its mouth is talker 1 of the GRID corpus, CC BY 4.0); see models/README.md"
+    "shipped model: CC BY 4.0 (its mouth and its words are talker 1's of the GRID corpus, other voices are flite's); see models/README.md"
 );
 /// The shipped model's tables for the device.
 pub const TABLES: &[u8] = include_bytes!("../shipped/grid-s1.tables");

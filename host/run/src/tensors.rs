@@ -3,12 +3,19 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::str::FromStr;
 
-use ndarray::{Array, ArrayBase, Data, Dimension};
+use ndarray::{Array, Array1, ArrayBase, Data, Dimension, Ix1};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 
+use lipstream_core::model::container::FRONT_END_FINGERPRINT;
 use lipstream_media::files;
 
 use crate::error::{Context as _, Error, Result, bail};
+
+/// A model's array and note of its front end.
+const START_MEAN: &str = "start_mean";
+const FRONT_END: &str = "front_end";
+/// The front end of models that do not say which is theirs.
+const BEFORE_IT_WAS_NOTED: u32 = 0x4850_0001;
 
 /// What has been read from a file.
 pub struct Tensors {
@@ -34,6 +41,12 @@ impl TensorsBuilder {
     /// Adds a note, or replaces the one of the same key.
     pub fn note(&mut self, key: &str, value: impl ToString) {
         self.notes.insert(key.to_owned(), value.to_string());
+    }
+
+    /// Adds the mean that a model's front end starts from, and which front end that is.
+    pub fn put_start_mean<S: Data<Elem = f32>>(&mut self, mean: &ArrayBase<S, Ix1>) {
+        self.put(START_MEAN, mean);
+        self.note(FRONT_END, FRONT_END_FINGERPRINT);
     }
 
     /// Writes the file; equal contents give equal bytes.
@@ -134,6 +147,28 @@ impl Tensors {
             })
     }
 
+    /// The mean that a model's front end starts from, `[13]`.
+    ///
+    /// # Errors
+    ///
+    /// That the model has none, or was trained for a front end whose numbers were others.
+    pub fn start_mean(&self) -> Result<Array1<f32>> {
+        let front_end = if self.has_note(FRONT_END) {
+            self.noted(FRONT_END)?
+        } else {
+            BEFORE_IT_WAS_NOTED
+        };
+        if front_end != FRONT_END_FINGERPRINT {
+            bail!(
+                File,
+                "{} was trained for a front end that hears otherwise ({front_end:#x}, this program's is {FRONT_END_FINGERPRINT:#x}): \
+                 prepare its corpus and train it again",
+                self.path
+            );
+        }
+        self.array(START_MEAN)
+    }
+
     /// Whether there is an array of this name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
@@ -177,6 +212,30 @@ mod tests {
         assert_eq!(x, array![[1.0f32, 2.0], [3.0, 4.5]]);
         assert_eq!(back.noted::<usize>("n").unwrap(), 7);
         assert!(back.array::<ndarray::Ix2>("y").is_err());
+    }
+
+    /// A model that hears otherwise is refused by name, not run.
+    #[test]
+    fn a_model_of_another_front_end_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.safetensors");
+        let mean = Array1::from_elem(13, 2.5);
+        let mut out = TensorsBuilder::default();
+        out.put_start_mean(&mean);
+        out.write(&path).unwrap();
+        assert_eq!(Tensors::read(&path).unwrap().start_mean().unwrap(), mean);
+        let mut older = TensorsBuilder::default();
+        older.put(START_MEAN, &mean);
+        older.write(&path).unwrap();
+        let refused = Tensors::read(&path)
+            .unwrap()
+            .start_mean()
+            .unwrap_err()
+            .to_string();
+        assert!(
+            refused.contains("a.safetensors was trained for a front end"),
+            "{refused}"
+        );
     }
 
     #[test]

@@ -136,7 +136,7 @@ impl AudioHmm {
         out.note("provenance", &self.provenance);
         let names: Vec<&str> = self.phones.iter().map(|p| p.name()).collect();
         out.note("phones", names.join(" "));
-        out.put("start_mean", &Array1::from(self.start_mean.to_vec()));
+        out.put_start_mean(&Array1::from(self.start_mean.to_vec()));
         out.put("audio.mean", &self.audio.mean);
         out.put("audio.variance", &self.audio.variance);
         out.put("audio.log_weight", &self.audio.log_weight);
@@ -161,7 +161,7 @@ impl AudioHmm {
             .map(|name| Phone::from_name(name).ok_or_else(|| Error::File(format!("unknown phone {name:?}"))))
             .collect::<Result<_>>()?;
         let hmm = Self {
-            start_mean: start_mean(&from.array("start_mean").map_err(Error::other)?)?,
+            start_mean: start_mean(&from.start_mean().map_err(Error::other)?)?,
             audio: Mixtures {
                 mean: from.array("audio.mean").map_err(Error::other)?,
                 variance: from.array("audio.variance").map_err(Error::other)?,

@@ -174,7 +174,7 @@ impl Model {
         out.note("conversion.visual_exponent", self.conversion.visual_exponent);
         out.note("conversion.iterations", self.conversion.iterations);
         out.note("conversion.posterior_scale", self.posterior_scale);
-        out.put("start_mean", &self.start_mean);
+        out.put_start_mean(&self.start_mean);
         for (name, mixtures) in [("audio", &self.audio), ("visual", &self.visual)] {
             out.put(&format!("{name}.mean"), &mixtures.mean);
             out.put(&format!("{name}.variance"), &mixtures.variance);
@@ -257,7 +257,7 @@ impl Model {
         let model = Model {
             system,
             phones,
-            start_mean: from.array("start_mean")?,
+            start_mean: from.start_mean()?,
             audio: mixtures("audio")?,
             visual: mixtures("visual")?,
             transition: from.array("transition")?,
