@@ -441,6 +441,25 @@ fn a_dash_is_standard_input_and_output() {
     assert_eq!(error, "out.txt: write .npy, .csv or .json");
 }
 
+/// What cannot be written is said in a line, whether it is the answer itself or only the word about it.
+#[test]
+fn a_full_standard_output_is_said() {
+    let folder = common::folder("cli-full");
+    let (hello, model) = (hello(), path(&common::root().join("models/grid-s1.tables")));
+    for output in ["-", "out.tsv"] {
+        let full = Command::new(program())
+            .current_dir(&folder)
+            .args(["cues", &hello, "-m", &model, "-o", output])
+            .stdout(std::fs::File::create("/dev/full").unwrap())
+            .stderr(Stdio::piped())
+            .output()
+            .unwrap();
+        let error = common::program::one_line(full);
+        assert!(error.starts_with("cannot write to standard output: "), "{error}");
+    }
+    assert!(folder.join("out.tsv").is_file());
+}
+
 /// A writer to a pipe cannot say how long the sound becomes.
 #[test]
 fn a_streamed_sound_is_read_to_its_end() {
