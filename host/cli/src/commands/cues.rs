@@ -13,7 +13,7 @@ use super::streams::{ending, file_name, hear, is_standard, name, open_sound, say
 /// Write mouth shapes over time for animation programs
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis; - is standard input
+    /// Sound file with speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others; - is standard input
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]
