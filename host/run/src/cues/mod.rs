@@ -176,14 +176,21 @@ impl Shapes {
         Ok(())
     }
 
-    /// The shapes of a sound that lasts `duration_s`.
+    /// The shapes of a sound that lasts `duration_s`; one that is shorter than a window, of which nothing can be said, is a mouth at rest.
     ///
     /// # Errors
     ///
-    /// [`CueError::NoFrame`].
+    /// [`CueError::NoFrame`]: it does not last at all.
     pub fn finish(self, duration_s: f64) -> Result<Vec<Cue>, CueError> {
         if self.from.is_empty() {
-            return Err(CueError::NoFrame);
+            return match duration_s > 0.0 {
+                true => Ok(vec![Cue {
+                    start_s: 0.0,
+                    end_s: duration_s,
+                    shape: Shape::X,
+                }]),
+                false => Err(CueError::NoFrame),
+            };
         }
         let frames = self.from.len();
         let mut cues: Vec<Cue> = Vec::new();

@@ -72,7 +72,17 @@ fn half_open_half_round_is_e() {
 
 #[test]
 fn weights_that_are_none_are_refused() {
-    assert!(cues(Array2::zeros((0, 13)).view(), 1.0).is_err());
+    assert!(cues(Array2::zeros((0, 13)).view(), 0.0).is_err());
+    // What is shorter than a window is a mouth at rest.
+    let rest = cues(Array2::zeros((0, 13)).view(), 0.02).unwrap();
+    assert_eq!(
+        rest,
+        [Cue {
+            start_s: 0.0,
+            end_s: 0.02,
+            shape: Shape::X
+        }]
+    );
     assert!(cues(Array2::zeros((5, 12)).view(), 1.0).is_err());
     let mut weights = Array2::zeros((5, 13));
     weights[[2, 3]] = f32::NAN;
