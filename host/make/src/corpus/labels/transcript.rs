@@ -67,7 +67,7 @@ fn finish(token: &str, out: &mut Vec<SpokenWord>) {
         Some((whole, behind)) => format!("{}.{behind}", without_thousands(whole)),
         None => without_thousands(token),
     };
-    if let Some(said) = ordinal(&whole) {
+    if let Some(said) = ordinal(token) {
         said.iter().for_each(|word| push(word));
         return;
     }
@@ -192,6 +192,7 @@ fn ordinal(token: &str) -> Option<Vec<&'static str>> {
     let digits = ["st", "nd", "rd", "th"]
         .iter()
         .find_map(|end| token.strip_suffix(end))?;
+    let digits = &without_thousands(digits);
     if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
         return None;
     }
