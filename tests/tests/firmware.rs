@@ -186,6 +186,32 @@ fn damage_on_the_way_to_the_device_is_counted_and_survived() {
     );
 }
 
+/// Sound whose number has been seen before is heard, and nothing counts as lost.
+#[test]
+fn a_host_that_counts_anew_loses_nothing() {
+    let firmware = firmware();
+    let samples = &common::hello()[..SHORT / 4];
+    let mut machine = Machine::boot(&firmware.program);
+    let mut link = Link::new(None);
+    let parts = pcm(samples, 160);
+    let mut line = bytes(ToDevice::Start);
+    for part in parts[..5]
+        .iter()
+        .chain([&parts[4]])
+        .chain(&parts[..3])
+        .chain([&parts[4]])
+    {
+        line.extend(part);
+    }
+    line.extend(bytes(ToDevice::Stop));
+    let messages = until_status(&mut machine, line, &mut link);
+    let Some(ToHost::Status(Status { overruns, .. })) = messages.last() else {
+        panic!("the last message is {:?}", messages.last());
+    };
+    // Between the third hop and the fifth one is missing.
+    assert_eq!(*overruns, 1);
+}
+
 /// A device says who it is when it is asked, to hosts of every protocol; it refuses those of another, and skips what it does not know.
 #[test]
 fn hello_can_be_asked_for_and_unknown_messages_are_counted() {

@@ -19,7 +19,7 @@ use ndarray::{Array2, Array4};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Context as _, Error, Result, bail, ensure};
-use lipstream::npy::read_npy;
+use lipstream::npy::{read_array, read_npy};
 use lipstream::phones::Phone;
 use lipstream_media::files;
 
@@ -385,8 +385,7 @@ impl Clip {
 
 /// Reads the mouth images of a clip, `[video frames, height, width, 3]`.
 pub fn read_mouths(path: &Path) -> Result<Array4<u8>> {
-    let images: Array4<u8> =
-        ndarray_npy::read_npy(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let images: Array4<u8> = read_array(path).map_err(Error::other)?;
     ensure!(
         images.dim().3 == 3,
         File,

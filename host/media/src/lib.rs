@@ -1,7 +1,7 @@
 //! Sound and video files, in and out; knows nothing of models.
 //!
 //! ```no_run
-//! // WAV, FLAC, MP3 or Ogg Vorbis, any rate and number of channels: 16 kHz mono comes out.
+//! // WAV, FLAC, MP3, Ogg, MP4 and others, any rate and number of channels: 16 kHz mono comes out.
 //! let sound = lipstream_media::sound::read("speech.flac".as_ref())?;
 //! println!("{:.2} s", sound.seconds());
 //! # Ok::<(), Box<dyn std::error::Error>>(())

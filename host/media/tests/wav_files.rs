@@ -102,7 +102,7 @@ fn writers_that_did_not_know_the_length_are_understood() {
         bytes[4..8].copy_from_slice(&file.to_le_bytes());
         bytes[40..44].copy_from_slice(&data.to_le_bytes());
         assert_eq!(piped(&bytes).unwrap(), want, "{file:x} {data:x}");
-        if file == u32::MAX {
+        if file != 0x7fff_f024 || data != 200 {
             assert_eq!(sound::decode(&bytes).unwrap().samples, want, "{file:x} {data:x}");
         }
     }
@@ -114,6 +114,121 @@ fn writers_that_did_not_know_the_length_are_understood() {
     half[40..44].copy_from_slice(&u32::MAX.to_le_bytes());
     let half = piped(&half).unwrap_err();
     assert!(half.contains("not a multiple"), "{half}");
+    // A header that was written before the sound and not gone back to.
+    let mut unsaid = good.clone();
+    unsaid[4..8].copy_from_slice(&36u32.to_le_bytes());
+    unsaid[40..44].fill(0);
+    assert_eq!(sound::decode(&unsaid).unwrap().samples, want);
+}
+
+/// The length of the file in its header is nobody's concern where the chunks are whole, and what follows the end is another program's.
+#[test]
+fn a_wrong_length_of_the_whole_file_costs_no_sound() {
+    let good = riff(&[plain(), chunk(b"data", &ramp())]);
+    let want = sound::decode(&good).unwrap().samples;
+    let length = good.len() as u32 - 8;
+    for said in [length + 8, length + 2, length - 20, 36] {
+        let mut bytes = good.clone();
+        bytes[4..8].copy_from_slice(&said.to_le_bytes());
+        assert_eq!(sound::decode(&bytes).unwrap().samples, want, "{said}");
+    }
+    let mut tagged = good.clone();
+    tagged.extend(b"TAGa title of some program's".iter().chain(&[0; 100]));
+    assert_eq!(sound::decode(&tagged).unwrap().samples, want);
+}
+
+/// An extensible `fmt ` chunk: `tag` is the coding of its GUID, `valid` the bits that are meant.
+fn extensible(tag: u16, channels: u16, width: u16, valid: u16) -> Vec<u8> {
+    let mut body = format(0xfffe, channels, 16_000, channels * width, width * 8)[8..].to_vec();
+    body.extend(22u16.to_le_bytes());
+    body.extend(valid.to_le_bytes());
+    body.extend([0; 4]);
+    body.extend(tag.to_le_bytes());
+    body.extend([0, 0, 0, 0, 0x10, 0, 0x80, 0, 0, 0xaa, 0, 0x38, 0x9b, 0x71]);
+    chunk(b"fmt ", &body)
+}
+
+/// Whatever the width, the upper bits count: 24 valid ones of 32 are worth what 32 are.
+#[test]
+fn integers_of_every_width_are_the_same_sound() {
+    let ramp: Vec<i16> = (0..100).map(|n| n * 300 - 15_000).collect();
+    for width in 2..=8u16 {
+        let bytes: Vec<u8> = ramp
+            .iter()
+            .flat_map(|&s| (i64::from(s) << 48).to_le_bytes()[8 - usize::from(width)..].to_vec())
+            .collect();
+        for valid in [8 * width, 8 * width - 4, 16] {
+            let file = riff(&[extensible(1, 1, width, valid), chunk(b"data", &bytes)]);
+            assert_eq!(
+                sound::decode(&file).unwrap().samples,
+                ramp,
+                "{valid} bits in {width} bytes"
+            );
+        }
+        let file = riff(&[format(1, 1, 16_000, width, 8 * width), chunk(b"data", &bytes)]);
+        assert_eq!(sound::decode(&file).unwrap().samples, ramp, "{width} bytes");
+    }
+    // Without an extensible header nobody can know which bits are meant.
+    let file = riff(&[format(1, 1, 16_000, 4, 24), chunk(b"data", &[0; 400])]);
+    assert!(refused("24 in 4", &file).contains("24 bits in 4 bytes"));
+}
+
+#[test]
+fn floats_of_other_units_and_opposite_channels_are_noticed() {
+    let ramp: Vec<i16> = (0..100).map(|n| n * 300 - 15_000).collect();
+    let floats = |scale: f64| -> Vec<u8> {
+        ramp.iter()
+            .flat_map(|&s| (f64::from(s) / 32768.0 * scale).to_le_bytes())
+            .collect()
+    };
+    let file = |scale: f64| riff(&[extensible(3, 1, 8, 64), chunk(b"data", &floats(scale))]);
+    assert_eq!(sound::decode(&file(1.0)).unwrap().samples, ramp);
+    assert!(refused("in units of integers", &file(32768.0)).contains("where full scale is ±1"));
+    let error = refused("four times too loud", &file(4.0));
+    assert!(
+        error.contains("% of its samples are beyond full scale"),
+        "{error}"
+    );
+    let opposite: Vec<u8> = ramp
+        .iter()
+        .flat_map(|&s| [s.to_le_bytes(), (-s).to_le_bytes()].concat())
+        .collect();
+    let stereo = riff(&[format(1, 2, 16_000, 4, 16), chunk(b"data", &opposite)]);
+    let heard = sound::decode(&stereo).unwrap().samples;
+    let turned: Vec<i16> = ramp.iter().map(|s| -s).collect();
+    assert!(heard == ramp || heard == turned, "{heard:?}");
+}
+
+/// More than 4 GiB can be promised; no more is read than is there.
+#[test]
+fn rf64_says_its_length_in_a_chunk_of_its_own() {
+    let data = ramp();
+    let with = |samples: u64| {
+        let mut sizes = 0u64.to_le_bytes().to_vec();
+        sizes.extend(samples.to_le_bytes());
+        sizes.extend([0; 12]);
+        let mut file = riff(&[
+            chunk(b"ds64", &sizes),
+            plain(),
+            chunk(b"data", &data),
+            chunk(b"LIST", b"tail"),
+        ]);
+        let at = 12 + 8 + sizes.len() + 24 + 4;
+        assert_eq!(file[at..at + 4], 200u32.to_le_bytes());
+        file[at..at + 4].fill(0xff);
+        file[..4].copy_from_slice(b"RF64");
+        file[4..8].fill(0xff);
+        file
+    };
+    assert_eq!(
+        sound::decode(&with(200)).unwrap().samples,
+        (0..100).collect::<Vec<i16>>()
+    );
+    let error = refused("RF64 that lies", &with(1 << 40));
+    assert!(
+        error.contains("promises 1099511627776 bytes, 212 follow"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -125,19 +240,7 @@ fn wav_headers_that_lie_are_refused() {
         bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
         bytes
     };
-    let length = good.len() as u32 - 8;
     for (what, bytes, words) in [
-        (
-            "length of the file too large",
-            with(4, length + 2),
-            "cut short, or the header lies",
-        ),
-        (
-            "length of the file too small",
-            with(4, length - 20),
-            "20 more bytes follow",
-        ),
-        ("length of the file 0", with(4, 0), "more bytes follow"),
         (
             "length of the data too large",
             with(40, 202),
@@ -160,7 +263,7 @@ fn wav_headers_that_lie_are_refused() {
             with(16, 5000),
             "chunk 'fmt ' at byte 12 promises 5000 bytes",
         ),
-        ("length of fmt too small", with(16, 14), "garbage"),
+        ("length of fmt too small", with(16, 14), "has 14 bytes, not 16"),
     ] {
         let error = refused(what, &bytes);
         println!("{what}: {error}");
@@ -203,14 +306,9 @@ fn impossible_wav_files_are_refused() {
             "bits per sample",
         ),
         (
-            "12 bits",
-            vec![format(1, 1, 16_000, 2, 12), data()],
-            "bits per sample",
-        ),
-        (
             "64 bits",
-            vec![format(3, 1, 16_000, 8, 64), data()],
-            "bits per sample is not 32",
+            vec![format(3, 1, 16_000, 8, 32), data()],
+            "floats of 32 bits per sample in 8 bytes",
         ),
         (
             "blocks of 0 bytes",
@@ -230,7 +328,7 @@ fn impossible_wav_files_are_refused() {
         (
             "half a stereo block",
             vec![format(1, 2, 16_000, 4, 16), chunk(b"data", &[1; 6])],
-            "data chunk",
+            "multiple",
         ),
         ("0 Hz", vec![format(1, 1, 0, 2, 16), data()], "rate is 0 Hz"),
         (
@@ -263,7 +361,11 @@ fn impossible_wav_files_are_refused() {
             vec![format(3, 1, 16_000, 4, 32), floats(f32::NEG_INFINITY)],
             "sample 1 is not a finite",
         ),
-        ("A-law", vec![format(6, 1, 16_000, 1, 8), data()], "WAV header"),
+        (
+            "A-law of 16 bits",
+            vec![format(6, 1, 16_000, 2, 16), data()],
+            "A-law of 16 bits",
+        ),
     ] {
         let error = refused(what, &riff(&chunks));
         println!("{what}: {error}");

@@ -1,19 +1,17 @@
 //! Parameter files: `.npy` of mouth parameters, `[frames, D]` at 100 Hz, f32 or f64.
 use std::path::Path;
 
-use ndarray::{Array2, ArrayView2};
-use ndarray_npy::ReadNpyExt as _;
-
-use lipstream_media::files;
+use ndarray::{Array2, ArrayView2, Ix2};
 
 use crate::error::{Context as _, Error, Result};
+use crate::npy;
 
 /// What keeps mouth parameters from being drawn.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
     /// A sound shorter than one window has no frame.
-    #[error("there is no frame in them")]
+    #[error("there is no frame in them: a sound must be as long as one window, 25 ms")]
     NoFrame,
     /// A parameter is no number.
     #[error("parameter {parameter} of frame {frame} is {value}")]
@@ -43,10 +41,10 @@ pub enum ParameterError {
 ///
 /// That the file cannot be read or holds something else; [`ParameterError`] as the cause of what cannot be drawn.
 pub fn read(path: &Path) -> Result<Array2<f32>> {
-    let bytes = files::read_bytes(path)?;
-    let tracks = match Array2::<f32>::read_npy(&bytes[..]) {
+    let tracks = match npy::read_array::<f32, Ix2>(path) {
         Ok(tracks) => tracks,
-        Err(single) => Array2::<f64>::read_npy(&bytes[..])
+        Err(single @ Error::Disk(_)) => return Err(single),
+        Err(single) => npy::read_array::<f64, Ix2>(path)
             .map(|tracks| tracks.mapv(|v| v as f32))
             .map_err(|_| {
                 Error::File(format!(

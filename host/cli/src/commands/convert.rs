@@ -15,7 +15,7 @@ use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3 or Ogg Vorbis; - is standard input. Or a stream that `lipstream record` made (.stream)
+    /// Sound file with speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others; - is standard input. Or a stream that `lipstream record` made (.stream)
     wav: PathBuf,
     /// Tables that `lipstream export` wrote, or a model (.safetensors)
     #[arg(short, long)]

@@ -23,7 +23,7 @@ pub(crate) struct Args {
     /// Another model (.safetensors)
     #[arg(short, long)]
     model: Option<PathBuf>,
-    /// Other speech: WAV, FLAC, MP3 or Ogg Vorbis
+    /// Other speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others
     #[arg(long)]
     wav: Option<PathBuf>,
 }

@@ -16,7 +16,7 @@ use super::streams::{ending, is_standard, name, read_sound, say, write};
 /// Write audio observations (MFCC_E_D_A) of a sound, or the features of a whole folder as .npy
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file: WAV, FLAC, MP3 or Ogg Vorbis (- is standard input); other rates than 16 kHz are resampled. Or a feature
+    /// Sound file: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others (- is standard input); other rates than 16 kHz are resampled. Or a feature
     /// folder (made by `lipstream prepare`)
     sound: PathBuf,
     /// Where to write: .htk or .npy, - is standard output; for a folder, the folder that gets index.json and one .npy a clip

@@ -11,6 +11,7 @@ mod choices;
 mod convert;
 mod cues;
 mod demo;
+mod dialog;
 mod evaluate;
 mod evaluate_mouth;
 mod export;

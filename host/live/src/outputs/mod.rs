@@ -2,12 +2,13 @@
 //!
 //! To add one: a file here with its [`Output`], and its word in [`Target`].
 use std::fmt;
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::net::{SocketAddr, ToSocketAddrs, UdpSocket};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
+
+use lipstream_media::files;
 
 use crate::event::{Event, Level, Notice};
 use crate::hub::{Hub, Missed};
@@ -145,7 +146,7 @@ impl Target {
 
 fn writer(path: Option<&PathBuf>) -> io::Result<Box<dyn Write + Send>> {
     Ok(match path {
-        Some(path) => Box::new(BufWriter::new(File::create_new(path)?)),
+        Some(path) => Box::new(BufWriter::new(files::create_anew(path)?)),
         None => Box::new(io::stdout()),
     })
 }

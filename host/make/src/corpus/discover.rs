@@ -22,7 +22,9 @@ pub const VIDEO: [&str; 12] = [
 ];
 
 /// Extensions of sound files, the preferred first.
-pub const SOUND: [&str; 8] = ["wav", "flac", "aiff", "aif", "mp3", "m4a", "ogg", "opus"];
+pub const SOUND: [&str; 13] = [
+    "wav", "flac", "aiff", "aif", "aifc", "caf", "mp3", "m4a", "aac", "ogg", "oga", "opus", "mka",
+];
 
 /// How clips are dealt out.
 #[derive(Clone, Debug, Default)]
@@ -192,11 +194,25 @@ fn walk(folder: &Path, without: Option<&Path>, depth: usize, out: &mut Vec<PathB
                 continue;
             }
             walk(&path, without, depth + 1, out)?;
-        } else {
+        } else if meta.is_file() {
             out.push(path);
+        } else if extension(&path).is_some_and(|e| is_known(&e)) {
+            // It may never end.
+            bail!(
+                Data,
+                "{}: a pipe or a device, not a file: take it out of the corpus",
+                path.display()
+            );
         }
     }
     Ok(())
+}
+
+/// Whether files with this extension, in lower case, are part of a corpus.
+fn is_known(extension: &str) -> bool {
+    [&VIDEO[..], &SOUND[..], &labels::EXTENSIONS[..]]
+        .iter()
+        .any(|list| list.contains(&extension))
 }
 
 fn extension(path: &Path) -> Option<String> {
@@ -208,11 +224,7 @@ fn group(root: &Path, files: Vec<PathBuf>) -> Result<(Vec<Group>, Vec<PathBuf>)>
     let mut by_stem: BTreeMap<PathBuf, Vec<PathBuf>> = BTreeMap::new();
     let mut left_alone = Vec::new();
     for path in files {
-        let known = extension(&path).is_some_and(|e| {
-            [&VIDEO[..], &SOUND[..], &labels::EXTENSIONS[..]]
-                .iter()
-                .any(|list| list.contains(&e.as_str()))
-        });
+        let known = extension(&path).is_some_and(|e| is_known(&e));
         if known {
             by_stem.entry(path.with_extension("")).or_default().push(path);
         } else {

@@ -19,8 +19,11 @@ const SILENCE: [&str; 13] = [
     "!exit",
 ];
 
-/// Labels that mean a pause between or inside words: TIMIT's `pau` and `epi`, Praat's and MAUS's names.
-const PAUSE: [&str; 8] = ["sp", "pau", "epi", "_", "<p:>", "<p>", "pause", "ssil"];
+/// Labels that mean a pause between or inside words: TIMIT's `pau` and `epi`, Praat's and MAUS's names; and what is no phone at all: noise, breath and
+/// words that an aligner did not know (Kaldi's and the Montreal Forced Aligner's `spn` and `nsn`, MAUS's `<nib>`).
+const PAUSE: [&str; 13] = [
+    "sp", "pau", "epi", "_", "<p:>", "<p>", "pause", "ssil", "spn", "nsn", "<unk>", "brth", "<nib>",
+];
 
 /// True if `label` means silence or a pause.
 pub fn is_silence(label: &str) -> bool {
@@ -54,6 +57,118 @@ pub fn phone(label: &str) -> Option<Phone> {
         };
         Phone::from_name(name)
     })
+}
+
+/// English in the International Phonetic Alphabet, as the Montreal Forced Aligner's `english_mfa` and plain dictionaries write it, without marks of length,
+/// stress, aspiration, palatalisation and rounding: the phone of table 1 by name.
+const IPA: [(&str, &str); 76] = [
+    ("a", "aa"),
+    ("aj", "ay"),
+    ("aɪ", "ay"),
+    ("ai", "ay"),
+    ("aw", "aw"),
+    ("aʊ", "aw"),
+    ("au", "aw"),
+    ("b", "b"),
+    ("c", "k"),
+    ("ç", "hh"),
+    ("d", "d"),
+    ("d̪", "dh"),
+    ("dʒ", "jh"),
+    ("d͡ʒ", "jh"),
+    ("ʤ", "jh"),
+    ("ð", "dh"),
+    ("e", "eh"),
+    ("ej", "ey"),
+    ("eɪ", "ey"),
+    ("ei", "ey"),
+    ("f", "f"),
+    ("g", "g"),
+    ("ɡ", "g"),
+    ("h", "hh"),
+    ("i", "iy"),
+    ("j", "y"),
+    ("k", "k"),
+    ("l", "l"),
+    ("l̩", "el"),
+    ("m", "m"),
+    ("m̩", "em"),
+    ("n", "n"),
+    ("n̩", "en"),
+    ("o", "ow"),
+    ("ow", "ow"),
+    ("oʊ", "ow"),
+    ("əʊ", "ow"),
+    ("əw", "ow"),
+    ("p", "p"),
+    ("r", "r"),
+    ("s", "s"),
+    ("t", "t"),
+    ("t̪", "th"),
+    ("tʃ", "ch"),
+    ("t͡ʃ", "ch"),
+    ("ʧ", "ch"),
+    ("u", "uw"),
+    ("v", "v"),
+    ("w", "w"),
+    ("z", "z"),
+    ("æ", "ae"),
+    ("ɐ", "ah"),
+    ("ɑ", "aa"),
+    ("ɒ", "aa"),
+    ("ɔ", "ao"),
+    ("ɔj", "oy"),
+    ("ɔɪ", "oy"),
+    ("ə", "ax"),
+    ("ɚ", "axr"),
+    ("ɛ", "eh"),
+    ("ɜ", "er"),
+    ("ɝ", "er"),
+    ("ɟ", "g"),
+    ("ɪ", "ih"),
+    ("ɫ", "l"),
+    ("ɫ̩", "el"),
+    ("ɲ", "n"),
+    ("ɹ", "r"),
+    ("ɾ", "d"),
+    ("ɾ̃", "n"),
+    ("ʃ", "sh"),
+    ("ʊ", "uh"),
+    ("ʌ", "ah"),
+    ("ʒ", "zh"),
+    ("θ", "th"),
+    ("ŋ", "ng"),
+];
+
+/// Signs that belong to the rarer sounds of English-speaking aligners.
+const RARER: [(&str, &str); 8] = [
+    ("ʉ", "uw"),
+    ("ʈ", "t"),
+    ("ɖ", "d"),
+    ("ʎ", "l"),
+    ("ʋ", "w"),
+    ("ʍ", "w"),
+    ("ʔ", "q"),
+    ("ɨ", "ix"),
+];
+
+/// The label of table 1's or TIMIT's that stands for one in the International Phonetic Alphabet.
+pub fn ipa(label: &str) -> Option<&'static str> {
+    let plain: String = label
+        .trim()
+        .to_lowercase()
+        .chars()
+        .filter(|c| !"ːˑˈˌ'ʰʲʷ̃̚".contains(*c) || *c == '\u{303}' && label.starts_with('ɾ'))
+        .collect();
+    IPA.iter()
+        .chain(&RARER)
+        .find(|(sign, _)| *sign == plain)
+        .map(|(_, name)| *name)
+}
+
+/// Whether a label has signs that only the phonetic alphabet has, and is known.
+pub fn is_ipa(label: &str) -> bool {
+    !label.is_ascii() && ipa(label).is_some()
 }
 
 /// One CMU phone with its stress digit: unstressed AH, ER and IH are the reduced vowels ax, axr and ix;
@@ -94,7 +209,7 @@ fn releases(closed: &str, release: &str) -> bool {
 /// Whether a label can stand in a phone transcription of TIMIT's kind.
 pub fn is_phone_label(label: &str) -> bool {
     let lower = label.trim().to_lowercase();
-    phone(&lower).is_some() || closure(&lower).is_some() || lower == "q"
+    phone(&lower).is_some() || closure(&lower).is_some() || lower == "q" || is_ipa(&lower)
 }
 
 /// TIMIT's transcription in table 1's phones. `labels` are (start, end, label) in any unit, in order.

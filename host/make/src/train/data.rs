@@ -303,8 +303,9 @@ impl Source for Clips<'_> {
             true => (usable(clip, &self.index())?, timed_phones(clip)),
             false => (PhoneNetwork::chain(&[0]), Vec::new()),
         };
-        let start = start_labels(&labels, clip.audio_frames, &self.index())?;
+        // The manifest's number of frames is held against the file's before room is made for so many.
         let audio = folder.audio(clip)?;
+        let start = start_labels(&labels, clip.audio_frames, &self.index())?;
         let visual = match clip.video_frames {
             _ if self.observed == Observed::Sound => None,
             0 => None,

@@ -4,12 +4,14 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 
-use super::{Film, Sink, SinkError, aside, rename};
+use super::{Film, Sink, SinkError, aside};
+use crate::files::Target;
 use crate::sound;
 
 /// A film in whatever format `ffmpeg` makes of the ending of its name.
 pub struct Ffmpeg {
     path: PathBuf,
+    target: Target,
     unfinished: PathBuf,
     running: Child,
     /// None once ffmpeg has stopped listening.
@@ -29,7 +31,8 @@ impl Ffmpeg {
             .extension()
             .ok_or_else(|| SinkError::NoEnding(path.to_owned()))?;
         let gif = ending.eq_ignore_ascii_case("gif");
-        let aside = aside(path)?;
+        let target = Target::at(path);
+        let aside = aside(&target.folder()?)?;
         let mut name = OsString::from("video.");
         name.push(ending);
         let unfinished = aside.path().join(name);
@@ -60,6 +63,7 @@ impl Ffmpeg {
         let mut running = ffmpeg.spawn().map_err(SinkError::NoFfmpeg)?;
         Ok(Self {
             path: path.to_owned(),
+            target,
             unfinished,
             stdin: running.stdin.take(),
             running,
@@ -85,7 +89,7 @@ impl Sink for Ffmpeg {
     fn finish(mut self: Box<Self>) -> Result<(), SinkError> {
         self.stdin = None;
         self.end()?;
-        Ok(rename(&self.unfinished, &self.path)?)
+        Ok(self.target.put(&self.unfinished)?)
     }
 }
 

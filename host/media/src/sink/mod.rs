@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use crate::Cause;
 use crate::encode::EncodeError;
-use crate::files::{FileError, aside_error, folder_of};
+use crate::files::{FileError, aside_error};
 use crate::sound::{self, SoundError};
 
 mod ffmpeg;
@@ -163,18 +163,12 @@ pub trait Sink {
     fn finish(self: Box<Self>) -> Result<(), SinkError>;
 }
 
-/// A folder beside `path` for what is not whole yet; it is removed with everything in it unless it is renamed.
-fn aside(path: &Path) -> Result<tempfile::TempDir, FileError> {
-    let parent = folder_of(path)?;
+/// A folder in `parent` for what is not whole yet; it is removed with everything in it unless it is renamed.
+fn aside(parent: &Path) -> Result<tempfile::TempDir, FileError> {
     tempfile::Builder::new()
         .prefix(".lipstream-")
         .tempdir_in(parent)
         .map_err(aside_error(parent))
-}
-
-/// Gives what is whole its name.
-fn rename(from: &Path, to: &Path) -> Result<(), FileError> {
-    std::fs::rename(from, to).map_err(|e| FileError::write(to, e))
 }
 
 #[cfg(test)]

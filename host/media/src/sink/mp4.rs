@@ -12,7 +12,7 @@ use lipstream_core::SAMPLE_RATE_HZ;
 use super::part::{self, Begun, Part, Spool};
 use super::{Film, Sink, SinkError};
 use crate::encode::{aac, colour, h264, mp4};
-use crate::files::{self, aside_error, folder_of};
+use crate::files::{self, Target, aside_error};
 
 /// A film whose encoded tracks wait in spools.
 struct Spooled<S> {
@@ -152,8 +152,13 @@ impl Mp4 {
     ///
     /// As [`Mp4::new`].
     pub fn going_on(path: &Path, film: &Film, key: u64) -> Result<Self, SinkError> {
-        let folder = folder_of(path)?;
-        let Some(spool) = part::open(path, film, key).map_err(aside_error(folder))? else {
+        let target = Target::at(path);
+        let Target::Replaced(behind) = &target else {
+            // What went into a pipe is gone, and a device keeps nothing to go on from.
+            return Self::new(path, film);
+        };
+        let folder = target.folder()?;
+        let Some(spool) = part::open(behind, film, key).map_err(aside_error(&folder))? else {
             return Self::new(path, film);
         };
         let Spool {
@@ -174,8 +179,8 @@ impl Mp4 {
 
 /// A file without a name in the folder of `path`.
 fn unnamed(path: &Path) -> Result<File, SinkError> {
-    let folder = folder_of(path)?;
-    Ok(tempfile::tempfile_in(folder).map_err(aside_error(folder))?)
+    let folder = Target::at(path).folder()?;
+    Ok(tempfile::tempfile_in(&folder).map_err(aside_error(&folder))?)
 }
 
 impl Sink for Mp4 {

@@ -4,7 +4,7 @@ use std::io::{self, BufWriter, Read as _, Seek as _, Write};
 use std::path::{Path, PathBuf};
 
 use super::part::{Begun, Part};
-use super::{Film, Sink, SinkError, aside, rename};
+use super::{Film, Sink, SinkError, aside};
 use crate::files::{self, FileError, aside_error, folder_of};
 
 /// `000001.png` and so on, in a folder that appears when all are there.
@@ -28,7 +28,7 @@ impl PngFrames {
     /// That the folder is there, that there is no room beside it, or that pictures are too large.
     pub fn new(folder: &Path, film: &Film) -> Result<Self, SinkError> {
         Self::begin(folder, film, |folder| {
-            Ok((Part::new(aside(folder)?.keep()), None, Begun::Nothing))
+            Ok((Part::new(aside(folder_of(folder)?)?.keep()), None, Begun::Nothing))
         })
     }
 
@@ -83,7 +83,7 @@ fn open(folder: &Path, key: u64, fps: usize) -> Result<(Part, Option<File>, Begu
         Ok(Some(note)) => (Part::new(path), note),
         // It is somebody else's folder, or another run is at work in it: pictures go into one whose name nobody has.
         _ if there => {
-            let aside = aside(folder)?.keep();
+            let aside = aside(beside)?.keep();
             let note = note_of(&aside, true).map_err(aside_error(beside))?;
             (
                 Part::new(aside),
@@ -214,6 +214,7 @@ impl Sink for PngFrames {
             let note = part.path().join(NOTE);
             std::fs::remove_file(&note).map_err(|e| FileError::write(&note, e))?;
         }
-        Ok(rename(part.path(), &folder)?)
+        std::fs::rename(part.path(), &folder).map_err(|e| FileError::write(&folder, e))?;
+        Ok(())
     }
 }

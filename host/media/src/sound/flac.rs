@@ -34,7 +34,7 @@ impl Decode for Flac<'_> {
     fn next(&mut self, out: &mut Vec<f64>) -> Result<bool> {
         let info = self.reader.streaminfo();
         let channels = info.channels;
-        let scale = 2f64.powi(1 - info.bits_per_sample as i32) / f64::from(channels);
+        let scale = 2f64.powi(1 - info.bits_per_sample as i32);
         let buffer = std::mem::take(&mut self.buffer);
         let next: Option<Block> = self.reader.blocks().read_next_or_eof(buffer).map_err(|e| {
             library(format!(
@@ -61,10 +61,9 @@ impl Decode for Flac<'_> {
             ));
         }
         self.decoded += u64::from(block.duration());
-        out.extend((0..block.duration()).map(|n| {
-            let sum: f64 = (0..channels).map(|c| f64::from(block.sample(c, n))).sum();
-            sum * scale
-        }));
+        for n in 0..block.duration() {
+            out.extend((0..channels).map(|c| f64::from(block.sample(c, n)) * scale));
+        }
         self.buffer = block.into_buffer();
         Ok(true)
     }

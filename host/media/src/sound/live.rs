@@ -19,6 +19,11 @@ impl<F: FnMut(&mut Vec<f64>) -> io::Result<bool> + Send> Decode for Live<F> {
         self.channels
     }
 
+    /// Whoever is called averages them.
+    fn interleaved(&self) -> usize {
+        1
+    }
+
     fn next(&mut self, out: &mut Vec<f64>) -> Result<bool> {
         Ok((self.next)(out)?)
     }

@@ -1,9 +1,9 @@
 //! Sound files to what the front end takes: 16 kHz, mono, i16.
 //!
-//! WAV, FLAC, MP3 and Ogg Vorbis, told apart by their first bytes. A file that is cut short, damaged or contradicts itself
-//! is refused as a whole, in one line; nothing is guessed and no part of it is passed over.
+//! WAV, FLAC, MP3, Ogg (Vorbis, Opus), MP4 and M4A (AAC, ALAC), WebM, Matroska, AIFF, CAF and ADTS, told apart by their first bytes. A file that is cut
+//! short, damaged or contradicts itself is refused as a whole, in one line; nothing is guessed and no part of it is passed over.
 //!
-//! Channels are averaged; other rates are resampled (rubato's synchronous FFT resampler, which trims its own
+//! Channels are averaged (`mix.rs` has the exception); other rates are resampled (rubato's synchronous FFT resampler, which trims its own
 //! delay, so that time 0 stays time 0). A 16 kHz mono 16-bit file passes unchanged, bit for bit.
 //!
 //! [`Reader`] gives a sound piece by piece as it comes and keeps no more of it than a decoder needs; [`read`] and [`decode`] collect it.
@@ -11,15 +11,20 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
+mod codec;
+mod container;
 mod flac;
 mod input;
 mod live;
+mod mix;
 mod mp3;
 mod ogg;
 mod resample;
 mod wav;
 
+use container::{Container, Track};
 use input::Input;
+use mix::Mixer;
 use resample::To16Khz;
 
 use crate::Cause;
@@ -47,7 +52,9 @@ pub enum SoundError {
     #[error("the file is empty")]
     Empty,
     /// It begins like no file that is read here.
-    #[error("not a WAV, FLAC, MP3 or Ogg Vorbis file (convert it with `ffmpeg -i FILE out.wav`)")]
+    #[error(
+        "not a sound file of a kind that is read here: {KINDS} (convert it with `ffmpeg -i FILE out.wav`)"
+    )]
     Unknown,
     /// It is of a kind that is read here, and holds what is not.
     #[error("{0}")]
@@ -72,10 +79,13 @@ pub enum SoundError {
         /// What happened.
         source: Cause,
     },
-    /// The WAV reader or writer refuses it, in its own words.
+    /// The WAV writer refuses it, in its own words.
     #[error(transparent)]
     Wav(#[from] hound::Error),
 }
+
+/// What [`read`] reads, for words to people.
+pub const KINDS: &str = "WAV, FLAC, MP3, Ogg (Vorbis or Opus), MP4 and M4A, WebM, AIFF, CAF, AAC";
 
 /// What every decoder here returns.
 type Result<T, E = SoundError> = std::result::Result<T, E>;
@@ -92,6 +102,9 @@ fn library<E: Into<Cause>>(what: impl Into<String>) -> impl FnOnce(E) -> SoundEr
         source: source.into(),
     }
 }
+
+/// Samples of the longest sound that is kept whole: six hours, 700 MB. Piece by piece a sound may be as long as it likes.
+const MOST_AT_ONCE: usize = 6 * 3600 * lipstream_core::SAMPLE_RATE_HZ as usize;
 
 /// Rates that are read. 8-48 kHz is what speech comes in; studio files go up to four times that.
 const RATES_HZ: std::ops::RangeInclusive<u32> = 8_000..=192_000;
@@ -127,12 +140,14 @@ impl Sound {
 pub struct Reader<'a> {
     name: String,
     decoder: Box<dyn Decode + 'a>,
+    mixer: Mixer,
     to_16_khz: To16Khz,
     /// Whether a sample has come.
     any: bool,
     /// Whether the last piece has been given.
     ended: bool,
     decoded: Vec<f64>,
+    mixed: Vec<f64>,
     resampled: Vec<f64>,
     samples: Vec<i16>,
 }
@@ -145,7 +160,12 @@ trait Decode: Send {
     /// Channels of the file.
     fn channels(&self) -> usize;
 
-    /// Appends the next piece, all channels averaged, full scale ±1; false when the sound has ended, and the file is whole.
+    /// Channels of the samples that [`Decode::next`] gives.
+    fn interleaved(&self) -> usize {
+        self.channels()
+    }
+
+    /// Appends the next piece, channels interleaved, full scale ±1; false when the sound has ended, and the file is whole.
     fn next(&mut self, out: &mut Vec<f64>) -> Result<bool>;
 }
 
@@ -167,7 +187,7 @@ impl Reader<'static> {
         // What a disk or a folder refuses shows here.
         input.peek(1).map_err(unread)?;
         let name = path.display().to_string();
-        Self::of_input(&name, input).map_err(in_file(&name))
+        Self::of_input(&name, input, length.map(|_| path)).map_err(in_file(&name))
     }
 
     /// Reads a sound as it comes, from a pipe for instance; errors call it `name`.
@@ -176,7 +196,7 @@ impl Reader<'static> {
     ///
     /// That it does not begin like a sound that is read here.
     pub fn of_stream(name: &str, stream: impl Read + Send + 'static) -> Result<Self> {
-        Self::of_input(name, Input::new(Box::new(stream), None)).map_err(in_file(name))
+        Self::of_input(name, Input::new(Box::new(stream), None), None).map_err(in_file(name))
     }
 }
 
@@ -201,15 +221,20 @@ impl<'a> Reader<'a> {
         Self::of_decoder(name, Box::new(live)).map_err(in_file(name))
     }
 
-    fn of_input(name: &str, mut input: Input<'a>) -> Result<Self> {
+    /// `path` is where the input can be opened anew, if it can.
+    fn of_input(name: &str, mut input: Input<'a>, path: Option<&Path>) -> Result<Self> {
         if input.peek(1)?.is_empty() {
             return Err(SoundError::Empty);
         }
-        let decoder: Box<dyn Decode + 'a> = match Kind::of(&mut input)? {
+        let kind = Kind::of(&mut input)?;
+        let at = input.at();
+        let decoder: Box<dyn Decode + 'a> = match kind {
             Kind::Wav => Box::new(wav::Wav::open(input)?),
             Kind::Flac => Box::new(flac::Flac::open(input)?),
-            Kind::Ogg => Box::new(ogg::Vorbis::open(input)?),
+            Kind::Ogg => Box::new(ogg::Ogg::open(input)?),
             Kind::Mp3 => Box::new(mp3::Mp3::open(input)?),
+            // Behind a tag it is not the file's beginning that is to be opened.
+            Kind::In(kind) => Box::new(Track::open(kind, input, path.filter(|_| at == 0))?),
         };
         Self::of_decoder(name, decoder)
     }
@@ -223,9 +248,11 @@ impl<'a> Reader<'a> {
             name: name.to_owned(),
             to_16_khz: To16Khz::new(rate_hz)?,
             decoder,
+            mixer: Mixer::default(),
             any: false,
             ended: false,
             decoded: Vec::new(),
+            mixed: Vec::new(),
             resampled: Vec::new(),
             samples: Vec::new(),
         })
@@ -260,8 +287,12 @@ impl<'a> Reader<'a> {
         self.decoded.clear();
         if self.decoder.next(&mut self.decoded)? {
             self.any |= !self.decoded.is_empty();
-            return self.to_16_khz.push(&self.decoded, &mut self.resampled);
+            self.mixed.clear();
+            self.mixer
+                .push(&self.decoded, self.decoder.interleaved().max(1), &mut self.mixed)?;
+            return self.to_16_khz.push(&self.mixed, &mut self.resampled);
         }
+        self.mixer.finish()?;
         if !self.any {
             return Err(SoundError::NoSamples);
         }
@@ -278,6 +309,13 @@ impl<'a> Reader<'a> {
         let mut samples = Vec::new();
         while let Some(piece) = self.piece()? {
             samples.extend(piece);
+            if samples.len() > MOST_AT_ONCE {
+                let hours = MOST_AT_ONCE / 3600 / lipstream_core::SAMPLE_RATE_HZ as usize;
+                let long = format!(
+                    "it goes on for more than {hours} hours, which do not fit in memory at once: cut it into pieces"
+                );
+                return Err(in_file(&self.name)(SoundError::Unsupported(long)));
+            }
         }
         Ok(Sound {
             samples,
@@ -310,6 +348,7 @@ enum Kind {
     Flac,
     Ogg,
     Mp3,
+    In(Container),
 }
 
 /// Bytes in which a file without a signature shows what it is: MP3's frames must follow each other.
@@ -318,10 +357,12 @@ const START: usize = 16_384;
 impl Kind {
     fn signed(bytes: &[u8]) -> Option<Kind> {
         Some(match bytes {
-            [b'R', b'I', b'F', b'F', ..] => Kind::Wav,
+            [b'R', b'I', b'F', b'F', ..] | [b'R', b'F', b'6', b'4', ..] | [b'B', b'W', b'6', b'4', ..] => {
+                Kind::Wav
+            }
             [b'f', b'L', b'a', b'C', ..] => Kind::Flac,
             [b'O', b'g', b'g', b'S', ..] => Kind::Ogg,
-            _ => return None,
+            _ => Kind::In(Container::of(bytes)?),
         })
     }
 
@@ -336,7 +377,7 @@ impl Kind {
             ));
         }
         // As little as is enough is looked at, because a pipe may give no more for a while.
-        if let Some(kind) = Kind::signed(input.peek(4)?) {
+        if let Some(kind) = Kind::signed(input.peek(12)?) {
             return Ok(kind);
         }
         match tag > 0 || mp3::detect(input.peek(START)?) {
@@ -351,9 +392,7 @@ pub fn knows(path: &Path) -> bool {
     let Ok(file) = File::open(path) else { return true };
     let mut input = Input::new(Box::new(file), None);
     match Kind::of(&mut input) {
-        Ok(Kind::Ogg) => input
-            .peek(START)
-            .is_ok_and(|start| ogg::codec(start) == ogg::VORBIS),
+        Ok(Kind::Ogg) => input.peek(START).is_ok_and(|start| ogg::reads(ogg::codec(start))),
         Ok(_) | Err(SoundError::Io(_)) => true,
         Err(_) => false,
     }
@@ -366,7 +405,7 @@ pub fn knows(path: &Path) -> bool {
 /// As [`read`]'s, without the file's name.
 pub fn decode(bytes: &[u8]) -> Result<Sound> {
     let input = Input::new(Box::new(bytes), Some(bytes.len() as u64));
-    let said = Reader::of_input("", input).and_then(Reader::rest);
+    let said = Reader::of_input("", input, None).and_then(Reader::rest);
     said.map_err(|error| match error {
         SoundError::In { source, .. } => *source,
         other => other,
@@ -376,15 +415,6 @@ pub fn decode(bytes: &[u8]) -> Result<Sound> {
 /// Full scale ±1 to i16, rounded to nearest, clipped.
 fn to_i16(x: f64) -> i16 {
     (x * 32768.0).round_ties_even() as i16 // `as` saturates
-}
-
-/// Appends the average of interleaved channels.
-fn mix_down(interleaved: &[f64], channels: usize, out: &mut Vec<f64>) {
-    out.extend(
-        interleaved
-            .chunks_exact(channels)
-            .map(|frame| frame.iter().sum::<f64>() / channels as f64),
-    );
 }
 
 /// A WAV file of 16 bits, 16 kHz mono, that is written piece by piece.

@@ -5,7 +5,7 @@
 use nanomp3::{Channels, Decoder, MAX_SAMPLES_PER_FRAME, VbrTag, frames, strip_trailing_tags};
 
 use super::input::Input;
-use super::{Decode, Result, SoundError, damaged, library, mix_down};
+use super::{Decode, Result, SoundError, damaged, library};
 
 /// Samples by which this decoder is late.
 const DECODER_DELAY: u64 = 529;
@@ -104,15 +104,15 @@ impl Decode for Mp3<'_> {
         self.frames.take(frame);
         self.found += 1;
         let channels = self.channels();
-        let interleaved: Vec<f64> = buffer[..frame.samples * channels]
-            .iter()
-            .map(|&s| f64::from(s))
-            .collect();
-        mix_down(&interleaved, channels, &mut self.held);
-        let late = self.skip.min(self.held.len() as u64);
-        self.held.drain(..late as usize);
+        self.held
+            .extend(buffer[..frame.samples * channels].iter().map(|&s| f64::from(s)));
+        let late = self.skip.min((self.held.len() / channels) as u64);
+        self.held.drain(..late as usize * channels);
         self.skip -= late;
-        out.extend(self.held.drain(..self.held.len().saturating_sub(self.hold)));
+        out.extend(
+            self.held
+                .drain(..self.held.len().saturating_sub(self.hold * channels)),
+        );
         Ok(true)
     }
 }

@@ -21,7 +21,7 @@ mod blend;
 mod formats;
 
 pub use blend::{ARKIT, BlendSet, Blender, OCULUS};
-pub use formats::{Format, write};
+pub use formats::{Format, Style, write, write_as};
 
 /// A mouth shape of Rhubarb Lip Sync (the six of Preston Blair's tradition, and G, H, X).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -92,6 +92,49 @@ impl Shape {
     }
 }
 
+impl Shape {
+    /// The name of Preston Blair's tradition, as Rhubarb Lip Sync's documentation has it.
+    pub fn preston_blair(self) -> &'static str {
+        match self {
+            Shape::A => "MBP",
+            Shape::B => "etc",
+            Shape::C => "E",
+            Shape::D => "AI",
+            Shape::E => "O",
+            Shape::F => "U",
+            Shape::G => "FV",
+            Shape::H => "L",
+            Shape::X => "rest",
+        }
+    }
+
+    /// The shape of the six that every character has which comes nearest.
+    pub fn basic(self) -> Shape {
+        match self {
+            Shape::G => Shape::B,
+            Shape::H => Shape::C,
+            Shape::X => Shape::A,
+            basic => basic,
+        }
+    }
+}
+
+/// Cues for a character that has the six basic shapes and of G, H and X only those in `extended`: the others become the nearest basic ones.
+pub fn drawn_with(cues: &[Cue], extended: &[Shape]) -> Vec<Cue> {
+    let mut out: Vec<Cue> = Vec::new();
+    for cue in cues {
+        let shape = match extended.contains(&cue.shape) {
+            true => cue.shape,
+            false => cue.shape.basic(),
+        };
+        match out.last_mut().filter(|last| last.shape == shape) {
+            Some(last) => last.end_s = cue.end_s,
+            None => out.push(Cue { shape, ..*cue }),
+        }
+    }
+    out
+}
+
 /// The mouth has one shape from `start_s` to `end_s`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Cue {
@@ -108,6 +151,9 @@ pub struct Cue {
 const CHANGE_COST: f32 = 5.0;
 /// The same of a change to closed lips, which are short, and missed when they are not there.
 const CLOSING_COST: f32 = 2.0;
+/// Weight that closed lips have at least until they have lasted [`LEAST_FRAMES`]: most closures are shorter, and one that is held a little longer is seen, where one
+/// that is left out is missed.
+const HELD: f32 = 0.2;
 /// Weights below this are as good as none.
 const FLOOR: f32 = 1e-3;
 
@@ -142,13 +188,25 @@ pub enum CueError {
     },
 }
 
-/// Viterbi over shapes, frame by frame: Σ ln weight, less a cost for every change of shape (2 for closing lips, 5 for others). Keeps
-/// 9 bytes a frame, for which
-/// shape each came from.
+/// Frames that a shape lasts at least: 70 ms, below which pictures at 24 a second show it once or not at all. Only the end of the sound may cut it short.
+const LEAST_FRAMES: usize = 7;
+
+/// Viterbi over shapes, frame by frame: Σ ln weight, less a cost for every change of shape (2 for closing lips, 5 for others); a shape that was changed to stays
+/// for [`LEAST_FRAMES`]. Keeps 11 bytes a frame: which shape each came from when it began, and which have lasted.
 #[derive(Default)]
 pub struct Shapes {
-    score: [f32; SHAPES.len()],
-    from: Vec<[u8; SHAPES.len()]>,
+    /// Score of every shape by how long it has lasted, in frames less one; the last is for all that may change.
+    score: [[f32; LEAST_FRAMES]; SHAPES.len()],
+    from: Vec<Step>,
+}
+
+/// How the best paths came to a frame.
+#[derive(Clone, Copy)]
+struct Step {
+    /// The shape before, of every shape that begins here.
+    began: [u8; SHAPES.len()],
+    /// Bits of the shapes that may change here and could so before.
+    stayed: u16,
 }
 
 impl Shapes {
@@ -160,30 +218,60 @@ impl Shapes {
     pub fn push(&mut self, visemes: &[f32]) -> Result<(), CueError> {
         check(visemes, self.from.len())?;
         let weights = shape_weights(visemes);
-        let best = argmax(&self.score);
-        let top = self.score[best];
-        let mut step = [0; SHAPES.len()];
-        for (k, s) in self.score.iter_mut().enumerate() {
+        let free: [f32; SHAPES.len()] = std::array::from_fn(|k| self.score[k][LEAST_FRAMES - 1]);
+        let best = argmax(&free);
+        let mut step = Step {
+            began: [best as u8; SHAPES.len()],
+            stayed: 0,
+        };
+        for (k, ages) in self.score.iter_mut().enumerate() {
             let closes = SHAPES[k] == Shape::A;
-            let changed = top - if closes { CLOSING_COST } else { CHANGE_COST };
-            step[k] = if changed > *s { best } else { k } as u8;
-            *s = s.max(changed) + weights[k].max(FLOOR).ln();
+            let changed = free[best] - if closes { CLOSING_COST } else { CHANGE_COST };
+            let (lasting, stayed) = (ages[LEAST_FRAMES - 2], ages[LEAST_FRAMES - 1]);
+            if stayed >= lasting {
+                step.stayed |= 1 << k;
+            }
+            ages.copy_within(..LEAST_FRAMES - 1, 1);
+            ages[LEAST_FRAMES - 1] = stayed.max(lasting);
+            ages[0] = changed;
+            let here = weights[k].max(FLOOR).ln();
+            let held = if closes { weights[k].max(HELD).ln() } else { here };
+            let (held_ages, free_age) = ages.split_at_mut(LEAST_FRAMES - 1);
+            held_ages.iter_mut().for_each(|s| *s += held);
+            free_age[0] += here;
+            if self.from.is_empty() {
+                // The first shape begins with the sound.
+                ages.fill(f32::NEG_INFINITY);
+                ages[0] = here;
+            }
         }
         // Only differences count; kept near zero.
-        let top = self.score[argmax(&self.score)];
-        self.score.iter_mut().for_each(|s| *s -= top);
+        let top = self
+            .score
+            .iter()
+            .flatten()
+            .copied()
+            .fold(f32::NEG_INFINITY, f32::max);
+        self.score.iter_mut().flatten().for_each(|s| *s -= top);
         self.from.push(step);
         Ok(())
     }
 
-    /// The shapes of a sound that lasts `duration_s`.
+    /// The shapes of a sound that lasts `duration_s`; one that is shorter than a window, of which nothing can be said, is a mouth at rest.
     ///
     /// # Errors
     ///
-    /// [`CueError::NoFrame`].
+    /// [`CueError::NoFrame`]: it does not last at all.
     pub fn finish(self, duration_s: f64) -> Result<Vec<Cue>, CueError> {
         if self.from.is_empty() {
-            return Err(CueError::NoFrame);
+            return match duration_s > 0.0 {
+                true => Ok(vec![Cue {
+                    start_s: 0.0,
+                    end_s: duration_s,
+                    shape: Shape::X,
+                }]),
+                false => Err(CueError::NoFrame),
+            };
         }
         let frames = self.from.len();
         let mut cues: Vec<Cue> = Vec::new();
@@ -213,11 +301,17 @@ impl Shapes {
 
     /// The best shape of every frame, traced back from the last.
     fn path(&self) -> Vec<Shape> {
-        let mut at = argmax(&self.score);
+        let all: Vec<f32> = self.score.iter().flatten().copied().collect();
+        let best = argmax(&all);
+        let (mut at, mut age) = (best / LEAST_FRAMES, best % LEAST_FRAMES);
         let mut path = vec![SHAPES[at]; self.from.len()];
-        for (shape, from) in path.iter_mut().zip(&self.from).rev() {
+        for (shape, step) in path.iter_mut().zip(&self.from).rev() {
             *shape = SHAPES[at];
-            at = usize::from(from[at]);
+            match age {
+                0 => (at, age) = (usize::from(step.began[at]), LEAST_FRAMES - 1),
+                age if age == LEAST_FRAMES - 1 && step.stayed & (1 << at) != 0 => {}
+                _ => age -= 1,
+            }
         }
         path
     }
@@ -234,18 +328,14 @@ fn check(visemes: &[f32], frame: usize) -> Result<(), CueError> {
     Ok(())
 }
 
-/// Weight of each shape in one frame; E takes what D and F share.
+/// Weight of each shape in one frame. E has twice what D and F both have: it is likelier than either where neither is twice the other, and takes nothing from
+/// them, so that it is as hard to change to as they are.
 fn shape_weights(visemes: &[f32]) -> [f32; SHAPES.len()] {
     let mut out = [0.0f32; SHAPES.len()];
     for (&w, shape) in visemes.iter().zip(SHAPE_OF_VISEME) {
         out[shape as usize] += w;
     }
-    let (open, round) = (out[Shape::D as usize], out[Shape::F as usize]);
-    if open.min(round) * 2.0 > open.max(round) {
-        out[Shape::E as usize] = open + round;
-        out[Shape::D as usize] = 0.0;
-        out[Shape::F as usize] = 0.0;
-    }
+    out[Shape::E as usize] = 2.0 * out[Shape::D as usize].min(out[Shape::F as usize]);
     out
 }
 

@@ -72,11 +72,107 @@ fn half_open_half_round_is_e() {
 
 #[test]
 fn weights_that_are_none_are_refused() {
-    assert!(cues(Array2::zeros((0, 13)).view(), 1.0).is_err());
+    assert!(cues(Array2::zeros((0, 13)).view(), 0.0).is_err());
+    // What is shorter than a window is a mouth at rest.
+    let rest = cues(Array2::zeros((0, 13)).view(), 0.02).unwrap();
+    assert_eq!(
+        rest,
+        [Cue {
+            start_s: 0.0,
+            end_s: 0.02,
+            shape: Shape::X
+        }]
+    );
     assert!(cues(Array2::zeros((5, 12)).view(), 1.0).is_err());
     let mut weights = Array2::zeros((5, 13));
     weights[[2, 3]] = f32::NAN;
     assert!(cues(weights.view(), 1.0).is_err());
+}
+
+/// Weights that flutter every three frames still give shapes of 70 ms, all the way but at the end of the sound; and the best path is the best of all.
+#[test]
+fn no_shape_is_shorter_than_seventy_milliseconds() {
+    let mut state = 7u64;
+    let mut random = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        (state >> 40) as usize
+    };
+    let mut weights = Array2::from_elem((300, 13), 0.001f32);
+    let mut viseme = 0;
+    for t in 0..300 {
+        if t % 3 == 0 {
+            viseme = random() % 13;
+        }
+        weights[[t, viseme]] = 1.0;
+    }
+    let duration = 3.0;
+    let found = cues(weights.view(), duration).unwrap();
+    assert!(found.len() > 5, "{found:?}");
+    for pair in found.windows(2) {
+        assert!(pair[0].end_s - pair[0].start_s > 0.0699, "{pair:?}");
+        assert_ne!(pair[0].shape, pair[1].shape);
+        assert_eq!(pair[0].end_s, pair[1].start_s);
+    }
+    // One frame of another shape is none.
+    let mut weights = spoken(&[("f", 20), ("aa", 1), ("f", 20)]);
+    weights.row_mut(20).fill(0.0);
+    weights[[20, 1]] = 0.5;
+    weights[[20, 2]] = 0.5;
+    assert_eq!(letters(&cues(weights.view(), 0.4).unwrap()), "G");
+}
+
+#[test]
+fn characters_without_some_shapes_get_the_nearest_ones() {
+    let cue = |start_s: f64, shape| Cue {
+        start_s,
+        end_s: start_s + 1.0,
+        shape,
+    };
+    let said = [
+        cue(0.0, Shape::X),
+        cue(1.0, Shape::A),
+        cue(2.0, Shape::G),
+        cue(3.0, Shape::B),
+        cue(4.0, Shape::H),
+    ];
+    assert_eq!(
+        letters(&drawn_with(&said, &[Shape::G, Shape::H, Shape::X])),
+        "XAGBH"
+    );
+    let six = drawn_with(&said, &[]);
+    assert_eq!(letters(&six), "ABC");
+    assert_eq!((six[0].end_s, six[1].start_s, six[1].end_s), (2.0, 2.0, 4.0));
+    let style = Style {
+        dat_fps: 30.0,
+        preston_blair: true,
+        closed: Shape::A,
+    };
+    assert_eq!(
+        write_as(Format::Dat, &six, "a.wav", &style),
+        "MohoSwitch1\n1 MBP\n61 etc\n121 E\n151 MBP\n"
+    );
+}
+
+/// No cue ends after the sound.
+#[test]
+fn the_end_is_cut_off_to_hundredths() {
+    let cue = |start_s, end_s, shape| Cue {
+        start_s,
+        end_s,
+        shape,
+    };
+    let said = [
+        cue(0.0, 0.5675, Shape::D),
+        cue(0.5675, 0.8725, Shape::B),
+        cue(0.8725, 0.875, Shape::X),
+    ];
+    assert_eq!(write(Format::Tsv, &said, ""), "0.00\tD\n0.57\tB\n0.87\tX\n");
+    let short = [cue(0.0, 0.004, Shape::X)];
+    assert_eq!(write(Format::Tsv, &short, ""), "0.00\tX\n0.00\tX\n");
+    let value: serde_json::Value = serde_json::from_str(&write(Format::Json, &said, "")).unwrap();
+    assert_eq!(value["metadata"]["duration"], 0.87);
+    // 0.29 is a little less than 29 hundredths.
+    assert!(write(Format::Tsv, &[cue(0.0, 0.29, Shape::D)], "").ends_with("0.29\tX\n"));
 }
 
 fn two() -> [Cue; 2] {

@@ -27,7 +27,7 @@ use source::{Sound, Source};
 /// Draw the mouth that speech or parameters describe
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Speech (WAV, FLAC, MP3, Ogg Vorbis), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
+    /// Speech (WAV, FLAC, MP3, Ogg, M4A and others), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
     /// - is speech on standard input
     input: PathBuf,
     /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well

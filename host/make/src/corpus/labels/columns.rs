@@ -106,6 +106,9 @@ pub(super) fn htk(text: &str, duration_s: f64) -> Result<Labels> {
             "a master label file: write one .lab file for each clip (HTK: `HLEd -l DIR /dev/null FILE`)"
         );
     }
+    if let Some(body) = festival_body(text) {
+        return festival(body);
+    }
     let timed = text
         .split_whitespace()
         .take(2)
@@ -157,6 +160,66 @@ pub(super) fn htk(text: &str, duration_s: f64) -> Result<Labels> {
     Ok(Labels {
         words: words_of(&words, false),
         phones: phones_of(&spans)?,
+    })
+}
+
+/// What follows the header of a label file of Festival and xwaves, which ends with a line `#`; None of another text. The line number of its first line is
+/// given with it.
+fn festival_body(text: &str) -> Option<(usize, &str)> {
+    let mut start = 0;
+    for (number, line) in text.split_inclusive('\n').enumerate() {
+        start += line.len();
+        if line.trim() == "#" {
+            let body = &text[start..];
+            let first = body.lines().find(|line| !line.trim().is_empty())?;
+            return timed(first).map(|_| (number + 2, body));
+        }
+    }
+    None
+}
+
+/// A line `end colour label`; the label may be missing or hold spaces.
+fn timed(line: &str) -> Option<(f64, String)> {
+    let mut fields = line.split_whitespace();
+    let end = fields.next()?.parse().ok().filter(|end: &f64| end.is_finite())?;
+    fields.next()?.parse::<u32>().ok()?;
+    let label = fields.collect::<Vec<_>>().join(" ");
+    // Further fields of a label stand behind a semicolon.
+    let label = label.split(';').next().unwrap_or_default().trim();
+    Some((end, label.to_owned()))
+}
+
+/// Festival's labels: each begins where the one before it ends.
+fn festival((first, body): (usize, &str)) -> Result<Labels> {
+    let (mut spans, mut last) = (Vec::new(), 0.0);
+    for (number, line) in (first..).zip(body.lines()) {
+        if line.trim().is_empty() {
+            continue;
+        }
+        let Some((end, label)) = timed(line) else {
+            bail!(Data, "line {number}: expected `end colour label`, found {line:?}");
+        };
+        if end < last {
+            bail!(
+                Data,
+                "line {number}: it ends at {end} s, before the line above it"
+            );
+        }
+        spans.push(Interval {
+            start: last,
+            end,
+            label,
+        });
+        last = end;
+    }
+    let phones = spans.iter().all(|s| phoneset::is_phone_label(&s.label));
+    Ok(Labels {
+        words: if phones {
+            Vec::new()
+        } else {
+            words_of(&spans, false)
+        },
+        phones: if phones { phones_of(&spans)? } else { Vec::new() },
     })
 }
 
@@ -220,6 +283,46 @@ mod tests {
         assert_eq!(in_100ns, in_seconds);
         assert_eq!(in_100ns.phones[1].0, 0.5);
         assert!(in_100ns.words.is_empty());
+    }
+
+    #[test]
+    fn festivals_labels_are_ends_behind_a_header() {
+        let phones =
+            "separator ;\nnfields 1\n#\n0.25 125 pau\n0.4 125 p\n0.6 125 iy ; stress 1\n1.0 125 h#\n";
+        for text in [phones.to_owned(), phones.replace('\n', "\r\n")] {
+            let labels = parse("lab", &text, 1.0).unwrap();
+            let names: Vec<_> = labels.phones.iter().map(|p| p.2.name()).collect();
+            assert_eq!(names, ["sil", "p", "iy", "sil"]);
+            assert_eq!((labels.phones[1].0, labels.phones[1].1), (0.25, 0.4));
+            assert!(labels.words.is_empty());
+        }
+        let words = parse("lab", "#\n0.3 26 \n0.6 26 hello\n0.9 26 you\n", 1.0).unwrap();
+        let spoken: Vec<_> = words.words.iter().map(|w| (w.text.as_str(), w.time)).collect();
+        assert_eq!(spoken, [("hello", Some((0.3, 0.6))), ("you", Some((0.6, 0.9)))]);
+        for (text, line) in [
+            ("#\n0.3 26 p\n0.2 26 iy\n", "line 3"),
+            ("a\n#\n0.3 26 p\nx 26 iy\n", "line 4"),
+        ] {
+            let error = chain(&parse("lab", text, 1.0).unwrap_err());
+            assert!(error.contains(line), "{error}");
+        }
+        // A number sign in a transcript is no header.
+        assert_eq!(parse("lab", "number\n#\none\n", 1.0).unwrap().words.len(), 2);
+    }
+
+    /// A file in samples of 8 kHz, and one in seconds, where samples of 16 kHz are meant.
+    #[test]
+    fn times_in_another_unit_are_refused() {
+        for (extension, text) in [
+            ("phn", "0 8000 h#\n8000 12000 iy\n12000 16000 h#\n"),
+            ("phn", "0 1 h#\n1 2 iy\n"),
+            ("wrd", "0.2 0.8 hello\n0.8 1.9 you\n"),
+        ] {
+            let error = chain(&parse(extension, text, 2.0).unwrap_err());
+            assert!(error.contains("but the sound at 2.00 s"), "{error}");
+        }
+        // Silence after the last word is no other unit.
+        parse("wrd", "3000 8000 hello\n", 2.0).unwrap();
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! | `.align` | GRID: `start end word` | 1/25000 s |
 //! | `.phn`, `.wrd` | TIMIT: `start end label` | samples at 16 kHz |
 //! | `.lab` | HTK: `start end label [score [word]]`, or a plain transcript | 100 ns, samples or seconds |
+//! | `.lab` | Festival, xwaves: a header up to a line `#`, then `end colour label` | seconds |
 //! | `.TextGrid` | Praat, long or short text, UTF-8 or UTF-16 | seconds |
 //! | `.txt` | a plain transcript, TIMIT's `0 n text`, or a GRID `.align` under another name | none |
 use std::collections::HashMap;
@@ -31,6 +32,11 @@ const MAX_BYTES: u64 = 16 << 20;
 
 /// How far (s) labels may reach past the end of the sound before they are taken for another clip's.
 const OVERHANG_S: f64 = 0.5;
+
+/// Share of a sound that its phones, silences counted, reach at least; samples of 8 kHz taken for 16 kHz reach half of it.
+const PHONES_COVER: f64 = 0.75;
+/// Share of a sound in which its last word has been said at least; silence may follow.
+const WORDS_COVER: f64 = 0.1;
 
 /// One stretch of time with its label, in seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -137,7 +143,27 @@ pub fn parse(extension: &str, text: &str, duration_s: f64) -> Result<Labels> {
         other => bail!(Choice, "`.{other}` is no label format"),
     };
     fit(&mut labels, duration_s)?;
+    if matches!(extension, "phn" | "lab" | "wrd" | "align") {
+        check_units(&labels, duration_s)?;
+    }
     Ok(labels)
+}
+
+/// Refuses times whose unit seems to be another: phones that end long before the sound does, words that are all in its first moments. Formats that
+/// count samples do not say at which rate.
+fn check_units(labels: &Labels, duration_s: f64) -> Result<()> {
+    let latest = |ends: &mut dyn Iterator<Item = f64>| ends.reduce(f64::max);
+    let phones = latest(&mut labels.phones.iter().map(|p| p.1));
+    let words = latest(&mut labels.words.iter().filter_map(|w| Some(w.time?.1)));
+    for (end, share) in [(phones, PHONES_COVER), (words, WORDS_COVER)] {
+        if let Some(end) = end.filter(|end| *end < share * duration_s && duration_s - end > OVERHANG_S) {
+            bail!(
+                Data,
+                "labels end at {end:.2} s, but the sound at {duration_s:.2} s: are they this clip's, and are their times in the format's unit?"
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Phones of many clips from one table: a line `clip start end phone` for each, times in samples at 16 kHz, columns parted by tabs or spaces.
@@ -239,9 +265,14 @@ pub(super) fn words_of(intervals: &[Interval], letter_names: bool) -> Vec<Spoken
 
 /// Phones from intervals in any of the phone sets; the error names the label that none of them has.
 pub(super) fn phones_of(intervals: &[Interval]) -> Result<Vec<(f64, f64, Phone)>> {
+    // One sign of the phonetic alphabet tells how the plain letters beside it are meant.
+    let in_ipa = intervals.iter().any(|i| phoneset::is_ipa(&i.label));
     let labels: Vec<_> = intervals
         .iter()
-        .map(|i| (i.start, i.end, i.label.clone()))
+        .map(|i| {
+            let ipa = phoneset::ipa(&i.label).filter(|_| in_ipa);
+            (i.start, i.end, ipa.unwrap_or(&i.label).to_owned())
+        })
         .collect();
     phoneset::timit(&labels)
         .map_err(|label| Error::Data(format!("{label:?} is no phone of the TIMIT, CMU or X&L sets")))

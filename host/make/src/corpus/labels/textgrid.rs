@@ -133,7 +133,8 @@ pub(super) fn tiers(text: &str) -> Result<Vec<Tier>> {
         line: 1,
     };
     let kind = reader.text("the file type")?;
-    let class = if kind == "ooTextFile" {
+    // Praat's short files say so in many corpora, and go on in the same way.
+    let class = if kind == "ooTextFile" || kind == "ooTextFile short" {
         reader.text("the object class")?
     } else {
         kind
@@ -197,16 +198,49 @@ pub(super) fn labels(text: &str) -> Result<Labels> {
         .iter()
         .filter(|t| t.intervals.iter().any(|i| !phoneset::is_silence(&i.label)))
         .collect();
-    let named = |keys: &[&str]| {
-        used.iter().position(|t| {
-            let name = t.name.to_lowercase();
-            keys.iter().any(|k| name.contains(k))
-        })
+    // Whole words of a name count: a "microphone" has no phones, and a "report" is no orthography.
+    let has = |tier: &Tier, keys: &[&str]| {
+        let name = tier.name.to_lowercase();
+        name.split(|c: char| !c.is_alphanumeric())
+            .any(|part| keys.contains(&part))
     };
+    let named = |keys: &[&str]| used.iter().position(|t| has(t, keys));
     let all_phones = |t: &Tier| t.intervals.iter().all(|i| phoneset::is_phone_label(&i.label));
-    let phones = named(&["phone", "segment", "mau"]).or_else(|| used.iter().position(|t| all_phones(t)));
-    let words = named(&["word", "ort"])
-        .or_else(|| (0..used.len()).find(|i| Some(*i) != phones && !all_phones(used[*i])));
+    let phones = named(&["phone", "phones", "phon", "phn", "segment", "segments"])
+        // MAUS calls its tiers ORT-MAU, KAN-MAU and MAU.
+        .or_else(|| {
+            used.iter()
+                .position(|t| has(t, &["mau"]) && !has(t, &["ort", "kan", "mas", "trn"]))
+        })
+        .or_else(|| used.iter().position(|t| all_phones(t)));
+    let said = |i: usize| words_of(&used[i].intervals, false).len();
+    let words = named(&["word", "words", "wrd", "ort", "orthography"])
+        .or_else(|| {
+            named(&[
+                "transcription",
+                "transcript",
+                "text",
+                "sentence",
+                "sentences",
+                "utterance",
+                "utterances",
+            ])
+        })
+        .or_else(|| {
+            // A lone remark beside phones is no transcript.
+            let least = if phones.is_some() { 2 } else { 1 };
+            let labelled = |i: usize| {
+                used[i]
+                    .intervals
+                    .iter()
+                    .filter(|l| !phoneset::is_silence(&l.label))
+                    .count()
+            };
+            (0..used.len())
+                .filter(|i| Some(*i) != phones && !all_phones(used[*i]) && labelled(*i) >= least)
+                .rev()
+                .max_by_key(|i| said(*i))
+        });
     Ok(Labels {
         words: words.map_or(Vec::new(), |i| words_of(&used[i].intervals, false)),
         phones: match phones {
@@ -292,6 +326,74 @@ item []:
         assert_eq!(words, [("say", None), ("he", None), ("bee", Some((1.0, 1.5)))]);
         let phones: Vec<_> = labels.phones.iter().map(|p| p.2.name()).collect();
         assert_eq!(phones, ["sil", "b", "iy"]);
+    }
+
+    /// A TextGrid in the short form with these tiers of one label each over a second, words apart by the sign |.
+    fn grid(header: &str, tiers: &[(&str, &str)]) -> String {
+        let mut text = format!(
+            "File type = \"{header}\"\n\"TextGrid\"\n\n0\n1\n<exists>\n{}\n",
+            tiers.len()
+        );
+        for (name, labels) in tiers {
+            let labels: Vec<&str> = labels.split('|').collect();
+            let each = 1.0 / labels.len() as f64;
+            text += &format!("\"IntervalTier\"\n\"{name}\"\n0\n1\n{}\n", labels.len());
+            for (n, label) in labels.iter().enumerate() {
+                text += &format!("{}\n{}\n\"{label}\"\n", n as f64 * each, (n + 1) as f64 * each);
+            }
+        }
+        text
+    }
+
+    #[test]
+    fn whole_words_of_tier_names_count() {
+        let read = |tiers: &[(&str, &str)]| {
+            let read = labels(&grid("ooTextFile short", tiers)).unwrap();
+            let words: Vec<_> = read.words.iter().map(|w| w.text.clone()).collect();
+            let phones: Vec<_> = read.phones.iter().map(|p| p.2.name()).collect();
+            (words.join(" "), phones.join(" "))
+        };
+        let want = ("please me".to_owned(), "p l iy z m iy".to_owned());
+        let phones = "p|l|iy|z|m|iy";
+        for tiers in [
+            [
+                ("report", "good"),
+                ("transcription", "please me"),
+                ("phones", phones),
+            ],
+            [
+                ("microphone", "close talk"),
+                ("segments", phones),
+                ("words", "please|me"),
+            ],
+            [
+                ("microphone", "close"),
+                ("anne - phones", phones),
+                ("anne", "please|me"),
+            ],
+            [
+                ("ORT-MAU", "please|me"),
+                ("KAN-MAU", "pli:z|mi:"),
+                ("MAU", phones),
+            ],
+        ] {
+            assert_eq!(read(&tiers), want, "{tiers:?}");
+        }
+        // A remark is no transcript.
+        assert_eq!(read(&[("microphone", "close talk"), ("phones", phones)]).0, "");
+    }
+
+    #[test]
+    fn what_an_aligner_writes_is_read() {
+        // Montreal Forced Aligner: noise and unknown words, and its own phonetic alphabet.
+        for (said, want) in [
+            ("spn|P|L|IY1|Z|spn", "sil p l iy z sil"),
+            ("pʰ|l|iː|z|ð|ɪ|dʒ|aj|ɾ|ə|ɫ̩|tʃ", "p l iy z dh ih jh ay d ax el ch"),
+        ] {
+            let read = labels(&grid("ooTextFile", &[("phones", said)])).unwrap();
+            let names: Vec<_> = read.phones.iter().map(|p| p.2.name()).collect();
+            assert_eq!(names.join(" "), want);
+        }
     }
 
     #[test]

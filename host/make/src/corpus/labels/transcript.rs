@@ -1,5 +1,7 @@
 //! Plain text to the words that are spoken: punctuation falls away, numbers are written out, GRID's file
 //! names are read as the sentences that they code.
+use unicode_normalization::UnicodeNormalization as _;
+
 use super::SpokenWord;
 
 /// Words of running text: letters and apostrophes, lower case. What stands in `<...>`, `[...]` or `{...}` is no
@@ -8,7 +10,9 @@ pub fn words(text: &str) -> Vec<SpokenWord> {
     let mut out = Vec::new();
     let mut token = String::new();
     let mut closing = None;
-    for c in text.chars().chain([' ']) {
+    // Some systems write é as e with an accent behind it; dictionaries and everybody else have one sign.
+    let text: Vec<char> = text.nfc().chain([' ']).collect();
+    for (at, &c) in text.iter().enumerate() {
         if let Some(end) = closing {
             if c == end {
                 closing = None;
@@ -29,11 +33,19 @@ pub fn words(text: &str) -> Vec<SpokenWord> {
                     '{' => Some('}'),
                     _ => None,
                 };
+                // One that is never closed is a sign like others: "I <3 you".
+                closing = closing.filter(|end| text[at..].contains(end));
+                if let Some((_, word)) = SIGNS.iter().find(|(sign, _)| *sign == c) {
+                    finish(word, &mut out);
+                }
             }
         }
     }
     out
 }
+
+/// Signs that are said.
+const SIGNS: [(char, &str); 3] = [('&', "and"), ('%', "percent"), ('=', "equals")];
 
 fn finish(token: &str, out: &mut Vec<SpokenWord>) {
     let mut push = |text: &str| {
@@ -51,7 +63,27 @@ fn finish(token: &str, out: &mut Vec<SpokenWord>) {
         }
         return;
     }
-    let whole = without_thousands(token);
+    let whole = match token.split_once('.') {
+        Some((whole, behind)) => format!("{}.{behind}", without_thousands(whole)),
+        None => without_thousands(token),
+    };
+    if let Some(said) = ordinal(token) {
+        said.iter().for_each(|word| push(word));
+        return;
+    }
+    // Behind the point of a decimal number figures are said one by one.
+    if let Some((whole, behind)) = whole.split_once('.')
+        && [whole, behind]
+            .iter()
+            .all(|part| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit()))
+    {
+        number(whole).iter().for_each(|word| push(word));
+        push("point");
+        behind
+            .bytes()
+            .for_each(|digit| push(ONES[usize::from(digit - b'0')]));
+        return;
+    }
     for (i, part) in whole.split(['.', ',']).enumerate() {
         if i > 0 && !whole.contains(',') {
             push("point");
@@ -155,6 +187,55 @@ fn below_thousand(value: usize, out: &mut Vec<&'static str>) {
     out.push(ONES[rest]);
 }
 
+/// "3rd" and "21st" in words; None of what is no ordinal.
+fn ordinal(token: &str) -> Option<Vec<&'static str>> {
+    let digits = ["st", "nd", "rd", "th"]
+        .iter()
+        .find_map(|end| token.strip_suffix(end))?;
+    let digits = &without_thousands(digits);
+    if digits.is_empty() || !digits.bytes().all(|b| b.is_ascii_digit()) {
+        return None;
+    }
+    let mut said = number(digits);
+    let last = said.last_mut()?;
+    *last = ORDINALS.iter().find(|(cardinal, _)| cardinal == last)?.1;
+    Some(said)
+}
+
+/// The last word of a number, and of the ordinal that it becomes.
+const ORDINALS: [(&str, &str); 30] = [
+    ("zero", "zeroth"),
+    ("one", "first"),
+    ("two", "second"),
+    ("three", "third"),
+    ("four", "fourth"),
+    ("five", "fifth"),
+    ("six", "sixth"),
+    ("seven", "seventh"),
+    ("eight", "eighth"),
+    ("nine", "ninth"),
+    ("ten", "tenth"),
+    ("eleven", "eleventh"),
+    ("twelve", "twelfth"),
+    ("thirteen", "thirteenth"),
+    ("fourteen", "fourteenth"),
+    ("fifteen", "fifteenth"),
+    ("sixteen", "sixteenth"),
+    ("seventeen", "seventeenth"),
+    ("eighteen", "eighteenth"),
+    ("nineteen", "nineteenth"),
+    ("twenty", "twentieth"),
+    ("thirty", "thirtieth"),
+    ("forty", "fortieth"),
+    ("fifty", "fiftieth"),
+    ("sixty", "sixtieth"),
+    ("seventy", "seventieth"),
+    ("eighty", "eightieth"),
+    ("ninety", "ninetieth"),
+    ("hundred", "hundredth"),
+    ("thousand", "thousandth"),
+];
+
 /// TIMIT's transcripts begin with the first and last sample: `0 38504 Would a tomboy ...`.
 pub fn without_timit_head(text: &str) -> &str {
     let trimmed = text.trim_start();
@@ -227,6 +308,15 @@ mod tests {
             "well known quoted word end"
         );
         assert_eq!(spoken(" \t\n ... '' "), "");
+        // What is never closed swallows nothing.
+        assert_eq!(spoken("I <3 you and [all of them"), "i three you and all of them");
+        assert_eq!(spoken("this {and <b>that"), "this and that");
+        // Composed or not, a letter is a letter.
+        assert_eq!(spoken("a nai\u{308}ve caf\u{e9}"), "a naïve café");
+        assert_eq!(
+            spoken("salt & pepper, 50 % of it"),
+            "salt and pepper fifty percent of it"
+        );
     }
 
     #[test]
@@ -238,6 +328,20 @@ mod tests {
         assert_eq!(spoken("1,2"), "one two");
         assert_eq!(spoken("12000"), "twelve thousand");
         assert_eq!(spoken("3.5"), "three point five");
+        assert_eq!(
+            spoken("pi is 3.14, not 3.05."),
+            "pi is three point one four not three point zero five"
+        );
+        assert_eq!(spoken("1,200.25"), "one thousand two hundred point two five");
+        assert_eq!(
+            spoken("the 3rd, 21st and 12TH"),
+            "the third twenty first and twelfth"
+        );
+        assert_eq!(
+            spoken("1,000th 100th 30th 111th"),
+            "one thousandth one hundredth thirtieth one hundred eleventh"
+        );
+        assert_eq!(spoken("b2nd"), "b two nd");
         assert_eq!(spoken("B52"), "b fifty two");
         assert_eq!(spoken("007"), "zero zero seven");
         assert_eq!(spoken("12345678").split(' ').count(), 8);
