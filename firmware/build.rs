@@ -8,7 +8,11 @@ use std::path::PathBuf;
 use lipstream_core::AnyModel;
 
 /// A board's Cargo feature as the environment spells it, and the symbol that chooses its memory in `memory.x`.
-const BOARDS: [(&str, &str); 1] = [("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386")];
+const BOARDS: [(&str, &str); 3] = [
+    ("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386"),
+    ("CARGO_FEATURE_PICO", "BOARD_PICO"),
+    ("CARGO_FEATURE_PICO2", "BOARD_PICO2"),
+];
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -55,7 +59,9 @@ fn main() {
         }
     };
     let to = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it")).join("kind.rs");
-    let text = format!("/// The kind of the tables.\ntype Kind = lipstream_core::kinds::{kind}<'static>;\n");
+    let text = format!(
+        "/// The kind of the tables.\npub(crate) type Kind = lipstream_core::kinds::{kind}<'static>;\n"
+    );
     if let Err(error) = std::fs::write(&to, text) {
         println!("cargo::error=cannot write {}: {error}", to.display());
     }

@@ -4,7 +4,12 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod app;
 pub mod pace;
+pub mod port;
+pub mod ring;
 
 pub use app::{App, Clock, Line};
