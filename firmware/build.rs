@@ -8,10 +8,12 @@ use std::path::PathBuf;
 use lipstream_core::AnyModel;
 
 /// A board's Cargo feature as the environment spells it, and the symbol that chooses its memory in `memory.x`.
-const BOARDS: [(&str, &str); 3] = [
+const BOARDS: [(&str, &str); 5] = [
     ("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386"),
+    ("CARGO_FEATURE_NANO33_SENSE", "BOARD_NANO33_SENSE"),
     ("CARGO_FEATURE_PICO", "BOARD_PICO"),
     ("CARGO_FEATURE_PICO2", "BOARD_PICO2"),
+    ("CARGO_FEATURE_XIAO_SENSE", "BOARD_XIAO_SENSE"),
 ];
 
 fn main() {

@@ -9,7 +9,9 @@ extern crate std;
 
 pub mod app;
 pub mod pace;
+pub mod pdm;
 pub mod port;
 pub mod ring;
+pub mod turn;
 
 pub use app::{App, Clock, Line};

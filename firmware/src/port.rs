@@ -1,5 +1,10 @@
 //! Bytes between the application and the interrupts that serve a serial port: a queue each way, neither side ever waits for the other.
+use core::sync::atomic::{AtomicBool, Ordering};
+
 use heapless::spsc::{Consumer, Producer, Queue};
+
+use crate::Line;
+use crate::pace::uart_bytes_per_second;
 
 /// Bytes that wait for the host: a frame is 100 bytes at most with the shipped model, so some ten of them.
 pub const OUT: usize = 1024;
@@ -7,18 +12,21 @@ pub const OUT: usize = 1024;
 pub const IN: usize = 1024;
 
 /// The queues of a port, in a static.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Queues {
     out: Queue<u8, OUT>,
     inward: Queue<u8, IN>,
+    /// Whether somebody may listen.
+    open: AtomicBool,
 }
 
 impl Queues {
-    /// Empty.
+    /// Empty, for a port that is open until it says otherwise.
     pub const fn new() -> Self {
         Self {
             out: Queue::new(),
             inward: Queue::new(),
+            open: AtomicBool::new(true),
         }
     }
 
@@ -29,10 +37,12 @@ impl Queues {
         let app = AppEnd {
             out: out_in,
             inward: inward_out,
+            open: &self.open,
         };
         let port = PortEnd {
             out: out_out,
             inward: inward_in,
+            open: &self.open,
             piece: [0; 64],
             filled: 0,
             taken: 0,
@@ -45,11 +55,15 @@ impl Queues {
 pub struct AppEnd<'q> {
     out: Producer<'q, u8>,
     inward: Consumer<'q, u8>,
+    open: &'q AtomicBool,
 }
 
 impl AppEnd<'_> {
-    /// All of `bytes`, or none of them where there is no room for all.
+    /// All of `bytes`, or none of them and false where there is no room for all. Where nobody listens nobody misses anything: true.
     pub fn send(&mut self, bytes: &[u8]) -> bool {
+        if !self.open.load(Ordering::Relaxed) {
+            return true;
+        }
         let fits = self.out.capacity() - self.out.len() >= bytes.len();
         // The other end only takes away: what fits now still fits when it is written.
         fits && bytes.iter().all(|byte| self.out.enqueue(*byte).is_ok())
@@ -61,10 +75,17 @@ impl AppEnd<'_> {
     }
 }
 
+impl Default for Queues {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 /// What the interrupt holds.
 pub struct PortEnd<'q> {
     out: Consumer<'q, u8>,
     inward: Producer<'q, u8>,
+    open: &'q AtomicBool,
     /// Bytes out of the queue, of which the line took the first `taken`.
     piece: [u8; 64],
     filled: usize,
@@ -95,6 +116,11 @@ impl PortEnd<'_> {
         }
     }
 
+    /// Whether a program on the host has the port open.
+    pub fn set_open(&mut self, open: bool) {
+        self.open.store(open, Ordering::Relaxed);
+    }
+
     /// Forgets what waits for a host that is not there.
     pub fn discard(&mut self) {
         self.taken = self.filled;
@@ -113,6 +139,31 @@ impl PortEnd<'_> {
                 break;
             }
         }
+    }
+}
+
+/// Two ports that say the same; either may be left unplugged.
+pub struct Ports {
+    /// USB: as fast as may be.
+    pub usb: AppEnd<'static>,
+    /// A UART of so many baud, which sets the pace.
+    pub uart: AppEnd<'static>,
+    /// The UART's.
+    pub baud: u32,
+    /// Tells both to take what waits.
+    pub serve: fn(),
+}
+
+impl Line for Ports {
+    fn send(&mut self, bytes: &[u8]) -> bool {
+        let usb = self.usb.send(bytes);
+        let uart = self.uart.send(bytes);
+        (self.serve)();
+        usb && uart
+    }
+
+    fn bytes_per_second(&self) -> Option<u32> {
+        Some(uart_bytes_per_second(self.baud))
     }
 }
 
@@ -145,6 +196,10 @@ mod tests {
         assert!(port.drain(<[u8]>::len));
         assert!(app.send(&frame));
         port.discard();
+        assert!(port.drain(|_| panic!("nothing waits")));
+        // Whoever is not there misses nothing, however much it is.
+        port.set_open(false);
+        assert!((0..50).all(|_| app.send(&frame)));
         assert!(port.drain(|_| panic!("nothing waits")));
     }
 

@@ -108,9 +108,10 @@ impl Microphone {
             reader: RingReader::new(),
         }
     }
+}
 
-    /// Fills the beginning of `samples` with what has come: how many, and how many were lost before them.
-    pub(crate) fn read(&mut self, samples: &mut [i16]) -> (usize, u32) {
+impl lipstream_firmware::turn::Microphone for Microphone {
+    fn read(&mut self, samples: &mut [i16]) -> (usize, u32) {
         let piece = self.reader.next(written(), samples.len());
         for (i, sample) in samples.iter_mut().take(piece.count).enumerate() {
             // SAFETY: inside the ring, see `RingReader`; volatile as DMA writes there.

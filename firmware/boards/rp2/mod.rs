@@ -9,14 +9,17 @@ mod i2s;
 #[path = "../common/model.rs"]
 mod model;
 mod uart;
+#[path = "../common/usb.rs"]
 mod usb;
+mod usb_bus;
 
 use cortex_m::peripheral::SYST;
 use cortex_m_rt::exception;
 use embedded_hal::digital::StatefulOutputPin;
-use lipstream_core::{HOP_SAMPLES, Model, SAMPLE_RATE_HZ};
-use lipstream_firmware::port::{self, AppEnd, Queues};
-use lipstream_firmware::{App, Clock, Line};
+use lipstream_core::Model;
+use lipstream_firmware::port::{Ports, Queues};
+use lipstream_firmware::turn::Turn;
+use lipstream_firmware::{App, Clock};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::hal;
@@ -51,32 +54,6 @@ struct ModelBytes([u8; MODEL_SPACE]);
 const CRYSTAL_HZ: u32 = 12_000_000;
 /// What the processor sleeps at most: sound is looked for as often.
 const WAKE_HZ: u32 = 1_000;
-/// Microphones need up to 256 ms after their clock began until their output has settled; what comes before must not open the mouth.
-const SETTLE_SAMPLES: usize = SAMPLE_RATE_HZ as usize * 3 / 10;
-/// Samples between two changes of the LED while everything is well: half a second.
-const HEARTBEAT_SAMPLES: u32 = SAMPLE_RATE_HZ / 2;
-
-/// Both ports say the same; either may be left unplugged.
-struct Ports {
-    usb: AppEnd<'static>,
-    uart: AppEnd<'static>,
-}
-
-impl Line for Ports {
-    fn send(&mut self, bytes: &[u8]) -> bool {
-        // Whoever is not there misses nothing. The pace keeps the UART from being full.
-        let usb = !usb::is_open() || self.usb.send(bytes);
-        let uart = self.uart.send(bytes);
-        usb::serve();
-        uart::serve();
-        usb && uart
-    }
-
-    fn bytes_per_second(&self) -> Option<u32> {
-        Some(lipstream_firmware::pace::uart_bytes_per_second(uart::BAUD))
-    }
-}
-
 /// The chip's timer.
 struct Microseconds(Timer);
 
@@ -169,6 +146,11 @@ pub(crate) fn run() -> ! {
     let ports = Ports {
         usb: usb_app,
         uart: uart_app,
+        baud: uart::BAUD,
+        serve: || {
+            usb::serve();
+            uart::serve();
+        },
     };
     let app = make_app(model, ports, Microseconds(timer));
     let mut microphone = Microphone::begin(
@@ -184,46 +166,15 @@ pub(crate) fn run() -> ! {
     );
     wake_up_every_millisecond(&mut processor.SYST, clocks.system_clock.freq().to_Hz());
 
-    let mut samples = [0; HOP_SAMPLES];
-    let mut heard: u32 = 0;
-    let mut unsettled = SETTLE_SAMPLES;
+    let mut turn = Turn::new();
     loop {
-        // A host that never stops sending must not keep the microphone waiting.
-        for _ in 0..port::IN {
-            let Some(byte) = app.line().usb.receive() else {
-                break;
-            };
-            app.receive(byte);
-        }
-        for _ in 0..port::IN {
-            let Some(byte) = app.line().uart.receive() else {
-                break;
-            };
-            app.receive(byte);
-        }
-        // There is room again for what waits in the host.
-        usb::serve();
-        let (count, lost) = microphone.read(&mut samples);
-        if lost > 0 {
-            app.overrun(lost.div_ceil(HOP_SAMPLES as u32));
-        }
-        if count == 0 {
-            cortex_m::asm::wfi();
-            continue;
-        }
-        let before = heard / HEARTBEAT_SAMPLES;
-        heard = heard.wrapping_add(count as u32);
-        if heard / HEARTBEAT_SAMPLES != before {
+        let heard = turn.take(app, &mut microphone, || {
             // The pin's error type is one that cannot be.
             let _ = led.toggle();
+        });
+        if !heard {
+            cortex_m::asm::wfi();
         }
-        let early = count.min(unsettled);
-        unsettled -= early;
-        if early > 0 && unsettled == 0 && !app.is_running() {
-            app.start();
-        }
-        // Ignored before the start.
-        app.samples(&samples[early..count]);
     }
 }
 

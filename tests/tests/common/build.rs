@@ -6,10 +6,12 @@ use std::sync::Mutex;
 use super::root;
 
 /// Every board and its processor.
-pub(crate) const BOARDS: [(&str, &str); 3] = [
+pub(crate) const BOARDS: [(&str, &str); 5] = [
     ("mps2-an386", "thumbv7em-none-eabihf"),
     ("pico", "thumbv6m-none-eabi"),
     ("pico2", "thumbv8m.main-none-eabihf"),
+    ("xiao-sense", "thumbv7em-none-eabihf"),
+    ("nano33-sense", "thumbv7em-none-eabihf"),
 ];
 
 /// Builds the firmware for a board in a Cargo profile, with these tables or the shipped ones; puts the program into `folder`.

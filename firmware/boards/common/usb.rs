@@ -1,10 +1,8 @@
-//! A serial port over USB (CDC ACM), served by the USB interrupt.
+//! A serial port over USB (CDC ACM), served by an interrupt. A board names its `Bus`, and has that interrupt, in its own `usb_bus`.
 //!
 //! It does not claim to understand AT commands (protocol 0): ModemManager leaves it alone.
 use core::cell::RefCell;
-use core::sync::atomic::{AtomicBool, Ordering};
 
-use cortex_m::peripheral::NVIC;
 use critical_section::Mutex;
 use lipstream_firmware::port::PortEnd;
 use static_cell::StaticCell;
@@ -12,27 +10,22 @@ use usb_device::bus::UsbBusAllocator;
 use usb_device::device::{StringDescriptors, UsbDevice, UsbDeviceBuilder, UsbDeviceState, UsbVidPid};
 use usbd_serial::{SerialPort, USB_CLASS_CDC};
 
-use crate::hal;
-use hal::pac;
-use hal::pac::interrupt;
-use hal::usb::UsbBus;
+use super::usb_bus::{self, Bus};
 
 /// Of pid.codes, for tests: a product needs a number of its own.
 const ID: UsbVidPid = UsbVidPid(0x1209, 0x0001);
 
 struct Port {
-    device: UsbDevice<'static, UsbBus>,
-    serial: SerialPort<'static, UsbBus>,
+    device: UsbDevice<'static, Bus>,
+    serial: SerialPort<'static, Bus>,
     end: PortEnd<'static>,
 }
 
-static BUS: StaticCell<UsbBusAllocator<UsbBus>> = StaticCell::new();
+static BUS: StaticCell<UsbBusAllocator<Bus>> = StaticCell::new();
 static PORT: Mutex<RefCell<Option<Port>>> = Mutex::new(RefCell::new(None));
-/// Whether a program on the host has the port open.
-static OPEN: AtomicBool = AtomicBool::new(false);
 
 /// Sets the port going.
-pub(crate) fn begin(bus: UsbBus, end: PortEnd<'static>) {
+pub(crate) fn begin(bus: Bus, end: PortEnd<'static>) {
     let bus = BUS.init(UsbBusAllocator::new(bus));
     let serial = SerialPort::new(bus);
     let words = StringDescriptors::default()
@@ -52,11 +45,6 @@ pub(crate) fn begin(bus: UsbBus, end: PortEnd<'static>) {
     serve();
 }
 
-/// Whether somebody may listen.
-pub(crate) fn is_open() -> bool {
-    OPEN.load(Ordering::Relaxed)
-}
-
 /// What the interrupt does, at any time: there is something to send, or room again for what comes.
 pub(crate) fn serve() {
     critical_section::with(|cs| {
@@ -64,12 +52,7 @@ pub(crate) fn serve() {
             port.serve();
             // A packet that stays where it is keeps the interrupt pending, and the application, which makes room, from running: until
             // it did, its own calls serve the port.
-            if port.end.room() == 0 {
-                NVIC::mask(pac::Interrupt::USBCTRL_IRQ);
-            } else {
-                // SAFETY: the handler is below, and its port is in its place.
-                unsafe { NVIC::unmask(pac::Interrupt::USBCTRL_IRQ) };
-            }
+            usb_bus::may_interrupt(port.end.room() > 0);
         }
     });
 }
@@ -78,7 +61,7 @@ impl Port {
     fn serve(&mut self) {
         self.device.poll(&mut [&mut self.serial]);
         let open = self.device.state() == UsbDeviceState::Configured && self.serial.dtr();
-        OPEN.store(open, Ordering::Relaxed);
+        self.end.set_open(open);
         let mut bytes = [0; 64];
         // What there is no room for stays in the host.
         loop {
@@ -100,9 +83,4 @@ impl Port {
             self.end.discard();
         }
     }
-}
-
-#[interrupt]
-fn USBCTRL_IRQ() {
-    serve();
 }
