@@ -31,6 +31,12 @@ fn main() {
         println!("cargo::error=choose one board");
         return;
     }
+    // Before cortex-m-rt's script: whoever names a section first has it.
+    if ["BOARD_PICO", "BOARD_PICO2"].contains(symbol) {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/boards/rp2/hot.x");
+        println!("cargo::rerun-if-changed={script}");
+        println!("cargo::rustc-link-arg-bins=-T{script}");
+    }
     // memory.x is found in the workspace root.
     for argument in ["--nmagic", "-Tlink.x", &format!("--defsym={symbol}=1")] {
         println!("cargo::rustc-link-arg-bins={argument}");

@@ -1,7 +1,5 @@
 //! Bytes between the application and the interrupts that serve a serial port: a queue each way, neither side ever waits for the other.
-use core::sync::atomic::{AtomicBool, Ordering};
-
-use heapless::spsc::{Consumer, Producer, Queue};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, Ordering};
 
 use crate::Line;
 use crate::pace::uart_bytes_per_second;
@@ -11,67 +9,124 @@ pub const OUT: usize = 1024;
 /// Bytes that wait for the application: one longest message and more.
 pub const IN: usize = 1024;
 
+/// Bytes from one end to the other, N of them at most, a power of two. One end writes, one reads; each may be interrupted by the other.
+#[derive(Debug)]
+struct ByteQueue<const N: usize> {
+    bytes: [AtomicU8; N],
+    /// Bytes written and read since the start, modulo 2³².
+    written: AtomicU32,
+    read: AtomicU32,
+}
+
+impl<const N: usize> ByteQueue<N> {
+    const MASK: usize = {
+        assert!(N.is_power_of_two());
+        N - 1
+    };
+
+    const fn new() -> Self {
+        Self {
+            bytes: [const { AtomicU8::new(0) }; N],
+            written: AtomicU32::new(0),
+            read: AtomicU32::new(0),
+        }
+    }
+
+    fn len(&self) -> usize {
+        let written = self.written.load(Ordering::Acquire);
+        written.wrapping_sub(self.read.load(Ordering::Acquire)) as usize
+    }
+
+    fn room(&self) -> usize {
+        N - self.len()
+    }
+
+    /// As many of the bytes as there is room for.
+    fn write(&self, bytes: &[u8]) {
+        let written = self.written.load(Ordering::Relaxed);
+        let count = bytes.len().min(self.room());
+        for (i, byte) in bytes.iter().enumerate().take(count) {
+            self.bytes[(written as usize + i) & Self::MASK].store(*byte, Ordering::Relaxed);
+        }
+        // Only now does the other end see them.
+        self.written
+            .store(written.wrapping_add(count as u32), Ordering::Release);
+    }
+
+    /// As many bytes as there are and fit; how many.
+    fn read(&self, to: &mut [u8]) -> usize {
+        let read = self.read.load(Ordering::Relaxed);
+        let count = to.len().min(self.len());
+        for (i, to) in to.iter_mut().enumerate().take(count) {
+            *to = self.bytes[(read as usize + i) & Self::MASK].load(Ordering::Relaxed);
+        }
+        self.read
+            .store(read.wrapping_add(count as u32), Ordering::Release);
+        count
+    }
+
+    fn discard(&self) {
+        self.read
+            .store(self.written.load(Ordering::Acquire), Ordering::Release);
+    }
+}
+
 /// The queues of a port, in a static.
 #[derive(Debug)]
 pub struct Queues {
-    out: Queue<u8, OUT>,
-    inward: Queue<u8, IN>,
-    /// Whether somebody may listen.
-    open: AtomicBool,
+    out: ByteQueue<OUT>,
+    inward: ByteQueue<IN>,
+    /// Nobody listens. This way round all of it is zeros at first.
+    closed: AtomicBool,
 }
 
 impl Queues {
     /// Empty, for a port that is open until it says otherwise.
     pub const fn new() -> Self {
         Self {
-            out: Queue::new(),
-            inward: Queue::new(),
-            open: AtomicBool::new(true),
+            out: ByteQueue::new(),
+            inward: ByteQueue::new(),
+            closed: AtomicBool::new(false),
         }
     }
 
     /// The application's end and the port's.
     pub fn split(&mut self) -> (AppEnd<'_>, PortEnd<'_>) {
-        let (out_in, out_out) = self.out.split();
-        let (inward_in, inward_out) = self.inward.split();
-        let app = AppEnd {
-            out: out_in,
-            inward: inward_out,
-            open: &self.open,
-        };
+        let queues = &*self;
         let port = PortEnd {
-            out: out_out,
-            inward: inward_in,
-            open: &self.open,
+            queues,
             piece: [0; 64],
             filled: 0,
             taken: 0,
         };
-        (app, port)
+        (AppEnd { queues }, port)
     }
 }
 
 /// What the application holds.
+#[derive(Debug)]
 pub struct AppEnd<'q> {
-    out: Producer<'q, u8>,
-    inward: Consumer<'q, u8>,
-    open: &'q AtomicBool,
+    queues: &'q Queues,
 }
 
 impl AppEnd<'_> {
     /// All of `bytes`, or none of them and false where there is no room for all. Where nobody listens nobody misses anything: true.
     pub fn send(&mut self, bytes: &[u8]) -> bool {
-        if !self.open.load(Ordering::Relaxed) {
+        if self.queues.closed.load(Ordering::Relaxed) {
             return true;
         }
-        let fits = self.out.capacity() - self.out.len() >= bytes.len();
         // The other end only takes away: what fits now still fits when it is written.
-        fits && bytes.iter().all(|byte| self.out.enqueue(*byte).is_ok())
+        let fits = self.queues.out.room() >= bytes.len();
+        if fits {
+            self.queues.out.write(bytes);
+        }
+        fits
     }
 
     /// A byte from the host.
     pub fn receive(&mut self) -> Option<u8> {
-        self.inward.dequeue()
+        let mut byte = [0];
+        (self.queues.inward.read(&mut byte) == 1).then_some(byte[0])
     }
 }
 
@@ -82,10 +137,9 @@ impl Default for Queues {
 }
 
 /// What the interrupt holds.
+#[derive(Debug)]
 pub struct PortEnd<'q> {
-    out: Consumer<'q, u8>,
-    inward: Producer<'q, u8>,
-    open: &'q AtomicBool,
+    queues: &'q Queues,
     /// Bytes out of the queue, of which the line took the first `taken`.
     piece: [u8; 64],
     filled: usize,
@@ -97,12 +151,8 @@ impl PortEnd<'_> {
     pub fn drain(&mut self, mut write: impl FnMut(&[u8]) -> usize) -> bool {
         loop {
             if self.taken == self.filled {
-                (self.taken, self.filled) = (0, 0);
-                while let Some(to) = self.piece.get_mut(self.filled) {
-                    let Some(byte) = self.out.dequeue() else { break };
-                    *to = byte;
-                    self.filled += 1;
-                }
+                self.taken = 0;
+                self.filled = self.queues.out.read(&mut self.piece);
             }
             let rest = &self.piece[self.taken..self.filled];
             if rest.is_empty() {
@@ -118,27 +168,23 @@ impl PortEnd<'_> {
 
     /// Whether a program on the host has the port open.
     pub fn set_open(&mut self, open: bool) {
-        self.open.store(open, Ordering::Relaxed);
+        self.queues.closed.store(!open, Ordering::Relaxed);
     }
 
     /// Forgets what waits for a host that is not there.
     pub fn discard(&mut self) {
         self.taken = self.filled;
-        while self.out.dequeue().is_some() {}
+        self.queues.out.discard();
     }
 
     /// Bytes that [`PortEnd::received`] has room for.
     pub fn room(&self) -> usize {
-        self.inward.capacity() - self.inward.len()
+        self.queues.inward.room()
     }
 
     /// Bytes from the host; those past [`PortEnd::room`] are lost, which its CRC shows the receiver.
     pub fn received(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            if self.inward.enqueue(*byte).is_err() {
-                break;
-            }
-        }
+        self.queues.inward.write(bytes);
     }
 }
 
@@ -179,7 +225,7 @@ mod tests {
         let (mut app, mut port) = queues.split();
         let frame = [7; 100];
         let sent = (0..20).take_while(|_| app.send(&frame)).count();
-        assert_eq!(sent, (OUT - 1) / 100);
+        assert_eq!(sent, OUT / 100);
         // A line that takes 30 bytes a call, and then no more.
         let (mut seen, mut calls) = (0, 0);
         let gone = port.drain(|bytes| {
@@ -208,7 +254,7 @@ mod tests {
         let mut queues = Queues::new();
         let (mut app, mut port) = queues.split();
         let room = port.room();
-        assert_eq!(room, IN - 1);
+        assert_eq!(room, IN);
         let bytes: Vec<u8> = (0..IN + 50).map(|i| i as u8).collect();
         port.received(&bytes);
         assert_eq!(port.room(), 0);

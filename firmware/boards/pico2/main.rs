@@ -3,6 +3,8 @@
 #![no_main]
 
 use hal::block::ImageDef;
+use hal::clocks::{ClocksManager, InitError, init_clocks_and_plls};
+use hal::{Watchdog, pac};
 use rp235x_hal as hal;
 
 #[path = "../rp2/mod.rs"]
@@ -12,6 +14,26 @@ mod rp2;
 #[unsafe(link_section = ".start_block")]
 #[used]
 static IMAGE: ImageDef = ImageDef::secure_exe();
+
+/// The HAL's own 150 MHz.
+fn begin_clocks(
+    crystal: pac::XOSC,
+    clocks: pac::CLOCKS,
+    pll_sys: pac::PLL_SYS,
+    pll_usb: pac::PLL_USB,
+    resets: &mut pac::RESETS,
+    watchdog: &mut Watchdog,
+) -> Result<ClocksManager, InitError> {
+    init_clocks_and_plls(
+        rp2::CRYSTAL_HZ,
+        crystal,
+        clocks,
+        pll_sys,
+        pll_usb,
+        resets,
+        watchdog,
+    )
+}
 
 #[hal::entry]
 fn main() -> ! {

@@ -86,7 +86,7 @@ impl Microphone {
         );
         let (mut pio, machine, ..) = pio.split(resets);
         let installed = pio.install(&program.program).expect("the PIO is empty");
-        // 2.048 MHz of 125 or 150 MHz: 61 9/256 and 73 62/256, both exact.
+        // 2.048 MHz of 133 or 150 MHz: 64 241/256 and 73 62/256, both exact.
         let divisor = u64::from(system_hz) * 256 / u64::from(SAMPLE_RATE_HZ * STEPS);
         let (mut machine, fifo, _) = PIOBuilder::from_installed_program(installed)
             .side_set_pin_base(clock.id().num)

@@ -5,6 +5,7 @@
 //! | GP0, GP1 | UART: what the board sends, what it hears |
 //! | GP16, GP17, GP18 | I²S: bit clock, word select, data |
 //! | GP25 | LED |
+mod hot;
 mod i2s;
 #[path = "../common/model.rs"]
 mod model;
@@ -24,7 +25,6 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::hal;
 use hal::Clock as _;
-use hal::clocks::init_clocks_and_plls;
 use hal::gpio::{FunctionPio0, FunctionUart, Pins, PullDown, PullUp};
 use hal::pac;
 use i2s::Microphone;
@@ -42,7 +42,7 @@ type DeviceApp = App<'static, Kind, Ports, Microseconds>;
 
 /// Room for a model in RAM; a larger one runs from flash, more slowly.
 #[cfg(feature = "pico")]
-const MODEL_SPACE: usize = 190 * 1024;
+const MODEL_SPACE: usize = 182 * 1024;
 #[cfg(feature = "pico2")]
 const MODEL_SPACE: usize = 384 * 1024;
 
@@ -51,7 +51,7 @@ const MODEL_SPACE: usize = 384 * 1024;
 struct ModelBytes([u8; MODEL_SPACE]);
 
 /// Both boards' crystal.
-const CRYSTAL_HZ: u32 = 12_000_000;
+pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
 /// What the processor sleeps at most: sound is looked for as often.
 const WAKE_HZ: u32 = 1_000;
 /// The chip's timer.
@@ -88,11 +88,11 @@ fn copied(model: &'static [u8]) -> &'static [u8] {
 
 /// Everything, for ever.
 pub(crate) fn run() -> ! {
+    hot::load();
     let mut board = pac::Peripherals::take().expect("the first to ask");
     let mut processor = cortex_m::Peripherals::take().expect("the first to ask");
     let mut watchdog = hal::Watchdog::new(board.WATCHDOG);
-    let clocks = init_clocks_and_plls(
-        CRYSTAL_HZ,
+    let clocks = crate::begin_clocks(
         board.XOSC,
         board.CLOCKS,
         board.PLL_SYS,
