@@ -8,7 +8,13 @@ use std::path::PathBuf;
 use lipstream_core::AnyModel;
 
 /// A board's Cargo feature as the environment spells it, and the symbol that chooses its memory in `memory.x`.
-const BOARDS: [(&str, &str); 1] = [("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386")];
+const BOARDS: [(&str, &str); 5] = [
+    ("CARGO_FEATURE_MPS2_AN386", "BOARD_MPS2_AN386"),
+    ("CARGO_FEATURE_NANO33_SENSE", "BOARD_NANO33_SENSE"),
+    ("CARGO_FEATURE_PICO", "BOARD_PICO"),
+    ("CARGO_FEATURE_PICO2", "BOARD_PICO2"),
+    ("CARGO_FEATURE_XIAO_SENSE", "BOARD_XIAO_SENSE"),
+];
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");
@@ -24,6 +30,12 @@ fn main() {
     if boards.next().is_some() {
         println!("cargo::error=choose one board");
         return;
+    }
+    // Before cortex-m-rt's script: whoever names a section first has it.
+    if ["BOARD_PICO", "BOARD_PICO2"].contains(symbol) {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/boards/rp2/hot.x");
+        println!("cargo::rerun-if-changed={script}");
+        println!("cargo::rustc-link-arg-bins=-T{script}");
     }
     // memory.x is found in the workspace root.
     for argument in ["--nmagic", "-Tlink.x", &format!("--defsym={symbol}=1")] {
@@ -55,7 +67,9 @@ fn main() {
         }
     };
     let to = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it")).join("kind.rs");
-    let text = format!("/// The kind of the tables.\ntype Kind = lipstream_core::kinds::{kind}<'static>;\n");
+    let text = format!(
+        "/// The kind of the tables.\npub(crate) type Kind = lipstream_core::kinds::{kind}<'static>;\n"
+    );
     if let Err(error) = std::fs::write(&to, text) {
         println!("cargo::error=cannot write {}: {error}", to.display());
     }

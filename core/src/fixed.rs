@@ -6,18 +6,43 @@
 /// ⌊a·b / 2³²⌋: the high word of the product. Of Qf and Q31 it is Q(f − 1).
 #[inline(always)]
 pub fn mul_high(a: i32, b: i32) -> i32 {
+    if cfg!(short_products) {
+        return mul_high_short(a, b);
+    }
     ((i64::from(a) * i64::from(b)) >> 32) as i32
+}
+
+/// [`mul_high`] of four products of halves, for processors that multiply 32 by 32 bits to 32: a quarter of what the compiler's routine for
+/// 64 bits takes there.
+#[inline(always)]
+pub fn mul_high_short(a: i32, b: i32) -> i32 {
+    let (a_low, a_high) = (a & 0xffff, a >> 16);
+    let (b_low, b_high) = (b & 0xffff, b >> 16);
+    let low = (a_low as u32).wrapping_mul(b_low as u32);
+    // In size at most 2¹⁵·(2¹⁶ − 1), and 2¹⁶ − 1 more: below 2³¹.
+    let middle = a_high * b_low + (low >> 16) as i32;
+    let other = a_low * b_high + (middle & 0xffff);
+    // The sum of three is the high word itself.
+    a_high * b_high + (middle >> 16) + (other >> 16)
 }
 
 /// ⌊c − a·b / 2³²⌋: one SMMLS.
 #[inline(always)]
 pub fn mul_high_subtract(c: i32, a: i32, b: i32) -> i32 {
+    if cfg!(short_products) {
+        let low = a.wrapping_mul(b);
+        return c - mul_high_short(a, b) - i32::from(low != 0);
+    }
     (((i64::from(c) << 32) - i64::from(a) * i64::from(b)) >> 32) as i32
 }
 
 /// a·b / 2³², rounded to nearest, halves up.
 #[inline(always)]
 pub fn mul_high_rounded(a: i32, b: i32) -> i32 {
+    if cfg!(short_products) {
+        let low = a.wrapping_mul(b) as u32;
+        return mul_high_short(a, b) + (low >> 31) as i32;
+    }
     ((i64::from(a) * i64::from(b) + (1 << 31)) >> 32) as i32
 }
 
@@ -25,6 +50,27 @@ pub fn mul_high_rounded(a: i32, b: i32) -> i32 {
 #[inline(always)]
 pub fn mul_high_u32(a: u32, b: u32) -> u32 {
     ((u64::from(a) * u64::from(b)) >> 32) as u32
+}
+
+/// a·b, all of it.
+#[inline(always)]
+pub fn mul_long(a: i32, b: i32) -> i64 {
+    if cfg!(short_products) {
+        let low = a.wrapping_mul(b) as u32;
+        return i64::from(mul_high_short(a, b)) << 32 | i64::from(low);
+    }
+    i64::from(a) * i64::from(b)
+}
+
+/// a·b, all 48 bits of it.
+#[inline(always)]
+pub fn mul_long_half(a: u32, b: u16) -> u64 {
+    if cfg!(short_products) {
+        let low = (a & 0xffff) * u32::from(b);
+        let high = (a >> 16) * u32::from(b);
+        return (u64::from(high) << 16) + u64::from(low);
+    }
+    u64::from(a) * u64::from(b)
 }
 
 /// Two halfwords as a word, for [`mul_halves`].
@@ -61,6 +107,18 @@ fn smlad(mut sum: i32, a: u32, b: u32) -> i32 {
         core::arch::asm!("smlad {0}, {1}, {2}, {0}", inout(reg) sum, in(reg) a, in(reg) b, options(nomem, nostack));
     }
     sum
+}
+
+/// The words that these bytes are, where they lie as words do and are a whole number of them. For processors that cannot load a word from any
+/// address, and would put it together byte by byte.
+#[inline(always)]
+#[allow(unsafe_code)]
+pub fn aligned_words(bytes: &[u8]) -> Option<&[u32]> {
+    // SAFETY: every four bytes are a word.
+    match unsafe { bytes.align_to() } {
+        ([], words, []) if cfg!(target_endian = "little") => Some(words),
+        _ => None,
+    }
 }
 
 /// x / 2^shift, rounded to nearest, halves up; |x| must leave room for half a step.
@@ -107,12 +165,45 @@ mod tests {
             for b in [i32::MIN, -1, 0, 1, i32::MAX] {
                 let exact = i128::from(a) * i128::from(b);
                 assert_eq!(i128::from(mul_high(a, b)), exact >> 32);
+                assert_eq!(i128::from(mul_high_short(a, b)), exact >> 32);
+                assert_eq!(i128::from(mul_long(a, b)), exact);
                 let less = ((i128::from(7) << 32) - exact) >> 32;
                 assert_eq!(i128::from(mul_high_subtract(7, a, b)), less);
                 assert_eq!(i128::from(mul_high_rounded(a, b)), (exact + (1 << 31)) >> 32);
             }
         }
         assert_eq!(mul_high_u32(u32::MAX, u32::MAX), u32::MAX - 1);
+    }
+
+    #[test]
+    fn words_are_those_of_the_bytes() {
+        let words = [0x0403_0201, 0x8877_6655_u32];
+        let mut bytes = [0; 12];
+        // One of four places in a row is a word's.
+        let mut aligned = 0;
+        for place in 0..4 {
+            for (to, from) in bytes[place..]
+                .iter_mut()
+                .zip(words.iter().flat_map(|word| word.to_le_bytes()))
+            {
+                *to = from;
+            }
+            if let Some(found) = aligned_words(&bytes[place..][..8]) {
+                assert_eq!(found, words);
+                aligned += 1;
+                assert_eq!(aligned_words(&bytes[place..][..7]), None);
+            }
+        }
+        assert_eq!(aligned, 1);
+    }
+
+    #[test]
+    fn halfwords_by_words() {
+        for a in [0, 1, 0xffff, 0x10000, u32::MAX] {
+            for b in [0, 1, u16::MAX] {
+                assert_eq!(mul_long_half(a, b), u64::from(a) * u64::from(b));
+            }
+        }
     }
 
     #[test]

@@ -54,6 +54,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
                 clock,
                 pace,
                 running: false,
+                from_host: false,
                 made: 0,
                 sequence: 0,
                 next_pcm: 0,
@@ -80,19 +81,29 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
         self.engine.start();
     }
 
+    /// Between a start and a stop, whoever asked for it.
+    pub fn is_running(&self) -> bool {
+        self.engine.running
+    }
+
     /// As the message `Stop`.
     pub fn stop(&mut self) {
         self.engine.stop();
     }
 
-    /// Sound from the board itself, cut anywhere. Ignored before [`App::start`].
+    /// Sound from the board itself, cut anywhere. Ignored before [`App::start`], and from the first `Pcm` to the next start: the host's
+    /// sound is not mixed with the room's.
     pub fn samples(&mut self, samples: &[i16]) {
-        self.engine.samples(samples);
+        if !self.engine.from_host {
+            self.engine.samples(samples);
+        }
     }
 
     /// The board had to throw away so many hops of sound.
     pub fn overrun(&mut self, hops: u32) {
-        self.engine.overrun(hops);
+        if !self.engine.from_host {
+            self.engine.overrun(hops);
+        }
     }
 
     /// The line, for a board that has to tend to it.
@@ -115,6 +126,8 @@ struct Engine<'m, K: Kind<'m>, L, C> {
     pace: Pace,
     /// Between `Start` and `Stop`.
     running: bool,
+    /// Sound came in `Pcm` since the start.
+    from_host: bool,
     /// Frames made since `Start`, those that the pace leaves out too.
     made: u32,
     /// Frames for the line since `Start`.
@@ -158,6 +171,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         self.stream.reset();
         self.pace = pace(self.model, &self.line);
         self.running = true;
+        self.from_host = false;
         self.made = 0;
         self.sequence = 0;
         self.next_pcm = 0;
@@ -188,6 +202,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         if !self.running {
             return;
         }
+        self.from_host = true;
         let ahead = pcm.sequence.wrapping_sub(self.next_pcm);
         // Half the numbers lie ahead and mean lost hops. The other half lie behind: a host that sends something twice or counts anew loses none.
         if ahead <= u32::MAX / 2 {

@@ -4,7 +4,14 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+#[cfg(test)]
+extern crate std;
+
 pub mod app;
 pub mod pace;
+pub mod pdm;
+pub mod port;
+pub mod ring;
+pub mod turn;
 
 pub use app::{App, Clock, Line};

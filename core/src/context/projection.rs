@@ -4,7 +4,7 @@
 //! than 2¹⁶, as the checked tables see to it, so that no statics can overflow a sum.
 use super::tables::{ContextTables, MAX_INPUTS, MAX_MEANS, MAX_TAPS, SumRow};
 use crate::N_STATIC;
-use crate::fixed::{halves, mul_halves, round_shift_i64, saturate_i16, saturate_i32};
+use crate::fixed::{aligned_words, halves, mul_halves, round_shift_i64, saturate_i16, saturate_i32};
 
 /// Largest number of numbers in a context.
 pub const MAX_CONTEXT: usize = N_STATIC * (MAX_TAPS + MAX_MEANS);
@@ -76,9 +76,15 @@ fn dot_chunk(sums: &mut [i32; ROWS], rows: [&[[u8; 4]; WORDS]; ROWS], words: &[u
     if !cfg!(smlad) {
         // Other processors have the registers for one row, or do better by themselves.
         for (sum, row) in sums.iter_mut().zip(rows) {
-            for (weights, word) in row.iter().zip(words) {
-                *sum = two(*sum, weights, *word);
+            if cfg!(short_products)
+                && let Some(aligned) = aligned_words(row.as_flattened())
+            {
+                for (weights, word) in aligned.iter().zip(words) {
+                    *sum = mul_halves(*sum, *weights, *word);
+                }
+                continue;
             }
+            *sum = dot_bytes(*sum, row, words);
         }
         return;
     }
@@ -97,6 +103,13 @@ fn dot_chunk(sums: &mut [i32; ROWS], rows: [&[[u8; 4]; WORDS]; ROWS], words: &[u
     }
     add!(0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27);
     *sums = s;
+}
+
+/// Where the mantissas do not lie as words do. Out of line: it is rare.
+#[inline(never)]
+fn dot_bytes(sum: i32, row: &[[u8; 4]; WORDS], words: &[u32; WORDS]) -> i32 {
+    let products = row.iter().zip(words);
+    products.fold(sum, |sum, (weights, word)| two(sum, weights, *word))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! cos(πn(j + ½)/26) is even in the channels' mirror for even n and odd for odd n, so 13 sums and 13 differences
 //! carry everything: 156 products. |error| ≤ 0.008 for log sums of up to 16 octaves (half an LSB and the table's).
 use crate::N_CEPSTRA;
-use crate::fixed::{round_shift_i64, saturate_i16, saturate_i32};
+use crate::fixed::{mul_long, round_shift_i64, saturate_i16, saturate_i32};
 use crate::frontend::mel::N_MEL;
 use crate::tables::dct::COSINES;
 
@@ -28,7 +28,7 @@ fn row(cosines: &[i16; N_MEL / 2], values: &[i32; N_MEL / 2]) -> i16 {
     let sum: i64 = cosines
         .iter()
         .zip(values)
-        .map(|(&c, &v)| i64::from(c) * i64::from(v))
+        .map(|(&c, &v)| mul_long(i32::from(c), v))
         .sum();
     saturate_i16(saturate_i32(round_shift_i64(sum, 21)))
 }

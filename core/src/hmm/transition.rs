@@ -64,6 +64,16 @@ pub const SOUND_SLOT: usize = N_PAIRS + N_VISEMES;
 /// Joint states of the largest model.
 pub const MAX_JOINT_STATES: usize = PHONE_STATES * MAX_PHONES;
 
+/// 1 / [`PHONE_STATES`], rounded up, in this many fraction bits: for processors without a division. Exact for every state there is.
+const RECIPROCAL: u32 = (1_u32 << RECIPROCAL_SHIFT).div_ceil(PHONE_STATES as u32);
+const RECIPROCAL_SHIFT: u32 = 21;
+// What it is too large by must not reach the next whole number, nor the product 2³².
+const _: () = {
+    let excess = RECIPROCAL * PHONE_STATES as u32 - (1 << RECIPROCAL_SHIFT);
+    assert!((MAX_JOINT_STATES as u64) * (excess as u64) < 1 << RECIPROCAL_SHIFT);
+    assert!((u16::MAX as u64) * (RECIPROCAL as u64) < 1 << 32);
+};
+
 /// A joint state: 39 · phone + slot, where slot is the pair, 13 + m' (mouth leads) or 26 + m (sound leads).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Default)]
 pub struct JointState(pub u16);
@@ -78,13 +88,13 @@ impl JointState {
     /// The phone of its audio state.
     #[inline]
     pub const fn phone(self) -> usize {
-        self.0 as usize / PHONE_STATES
+        (self.0 as u32 * RECIPROCAL >> RECIPROCAL_SHIFT) as usize
     }
 
     /// Its slot among the phone's joint states.
     #[inline]
     pub const fn slot(self) -> usize {
-        self.0 as usize % PHONE_STATES
+        self.0 as usize - self.phone() * PHONE_STATES
     }
 
     /// Its place among all joint states.

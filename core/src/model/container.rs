@@ -84,6 +84,15 @@ pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
 
+/// How long the model says it is that these bytes begin with; none where they begin with no model. For one that lies in a larger
+/// region of memory: everything else about it is still to be checked.
+pub fn stated_length(bytes: &[u8]) -> Option<usize> {
+    let header = bytes.get(..header::SIZE)?;
+    header
+        .starts_with(&MAGIC)
+        .then(|| u32_at(header, header::LENGTH) as usize)
+}
+
 /// The sections of a block of bytes whose header, checksum and section table are right.
 ///
 /// Readers take the sections that they know with [`Sections::take`]; [`Sections::finish`] then refuses what nobody took, so that

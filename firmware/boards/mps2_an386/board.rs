@@ -1,5 +1,5 @@
 //! The board's registers: the only unsafe code of this program.
-use core::ptr::{addr_of, read_volatile, write_volatile};
+use core::ptr::{read_volatile, write_volatile};
 
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
@@ -96,37 +96,5 @@ impl Clock for Counter {
             Self::Running => read(COUNTER),
             Self::Still => 0,
         }
-    }
-}
-
-unsafe extern "C" {
-    /// First and one past the last word of the stack (cortex-m-rt's linker script).
-    static _stack_end: u32;
-    static _stack_start: u32;
-}
-
-/// Most bytes of stack in use since the start or the last [`repaint_stack`]: cortex-m-rt paints the stack before `main`,
-/// and what has been used lost its paint.
-pub(crate) fn stack_used() -> usize {
-    let mut lowest = addr_of!(_stack_end);
-    let top = addr_of!(_stack_start);
-    // SAFETY: reads words between the stack's ends, which the linker script places in RAM.
-    while lowest < top && unsafe { read_volatile(lowest) } == cortex_m_rt::STACK_PAINT_VALUE {
-        lowest = lowest.wrapping_add(1);
-    }
-    top as usize - lowest as usize
-}
-
-/// Paints the unused part of the stack again.
-#[inline(never)]
-pub(crate) fn repaint_stack() {
-    let here = 0_u32;
-    // This function's own frame stays well within the margin.
-    let end = addr_of!(here).wrapping_sub(64);
-    let mut word = addr_of!(_stack_end).cast_mut();
-    while word.cast_const() < end {
-        // SAFETY: the words from the stack's end to below this frame are in RAM and nobody's.
-        unsafe { write_volatile(word, cortex_m_rt::STACK_PAINT_VALUE) };
-        word = word.wrapping_add(1);
     }
 }

@@ -7,24 +7,26 @@
 #![no_main]
 
 mod board;
+#[path = "../common/model.rs"]
+mod model;
+#[path = "../common/stack.rs"]
+mod stack;
 
 use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::Model;
 use lipstream_firmware::{App, Line};
+use model::Kind;
 use semihosting::experimental::env;
 use semihosting::fs::File;
 use semihosting::io::{Read, Write};
 use semihosting::{println, process};
 use static_cell::StaticCell;
 
-static TABLES: &[u8] = include_bytes!(env!("LIPSTREAM_TABLES_FILE"));
 static MODEL: StaticCell<DeviceModel> = StaticCell::new();
 static APP: StaticCell<DeviceApp> = StaticCell::new();
 
-// `Kind`, as `firmware/build.rs` found it in the tables.
-include!(concat!(env!("OUT_DIR"), "/kind.rs"));
 type DeviceModel = Model<'static, Kind>;
 type DeviceApp = App<'static, Kind, Wire, Counter>;
 
@@ -33,7 +35,7 @@ const OUTPUT: &CStr = c"output.wire";
 
 #[entry]
 fn main() -> ! {
-    let model = match Model::new_checked(TABLES) {
+    let model = match Model::new_checked(model::in_flash()) {
         Ok(model) => MODEL.init(model),
         Err(error) => fail(format_args!("{error}")),
     };
@@ -112,8 +114,8 @@ fn on_files(model: &'static DeviceModel) -> ! {
     };
     // What is written must not depend on the time that it took.
     let app = make_app(model, Wire::File(line), Counter::Still);
-    let starting = board::stack_used();
-    board::repaint_stack();
+    let starting = stack::used();
+    stack::repaint();
     app.start();
     let mut bytes = [0; 640];
     let mut samples = [0; 320];
@@ -143,7 +145,7 @@ fn on_files(model: &'static DeviceModel) -> ! {
     if let Wire::File(file) = app.line() {
         file.flush();
     }
-    println!("stack: {starting} bytes to start, {} to run", board::stack_used());
+    println!("stack: {starting} bytes to start, {} to run", stack::used());
     process::exit(0)
 }
 

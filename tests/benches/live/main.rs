@@ -146,8 +146,11 @@ impl Device {
         match self {
             Device::Inside => Source::Inside(Arc::new(Engine::shipped())),
             Device::Line => Source::Line(device::start()),
-            Device::Qemu => Source::Line(Address::Qemu(common::qemu::build_firmware(
-                folder, "firmware", None,
+            Device::Qemu => Source::Line(Address::Qemu(common::build::build_firmware(
+                "mps2-an386",
+                folder,
+                "firmware",
+                None,
             ))),
         }
     }

@@ -264,7 +264,7 @@ fn in_a_browser_a_face_moves_its_mouth_in_speech_and_not_in_silence() {
 fn in_a_browser_the_firmware_in_qemu_speaks() {
     let _alone = alone();
     let folder = tempfile::tempdir().unwrap();
-    let program = common::qemu::build_firmware(&common::folder("browser"), "firmware", None);
+    let program = common::build::build_firmware("mps2-an386", &common::folder("browser"), "firmware", None);
     let (desk, server) = desk(folder.path(), true);
     let mut browser = Browser::open_plain(&server.url());
     desk.attach(setup(

@@ -1,9 +1,8 @@
 //! QEMU's mps2-an386 with lipstream's firmware in it.
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Stdio};
-use std::sync::Mutex;
 use std::time::Duration;
 
 use lipstream::link::Link;
@@ -11,43 +10,6 @@ use lipstream_core::wire::{MAX_ENCODED, Pcm, ToDevice, ToHost, encode};
 
 /// Longest that anything may take; for a machine that is busy with other things.
 const PATIENCE: Duration = Duration::from_secs(300);
-
-/// Builds the firmware in a Cargo profile, with these tables or the shipped ones; puts the program into `folder`.
-pub(crate) fn build_firmware(folder: &Path, profile: &str, tables: Option<&[u8]>) -> PathBuf {
-    /// Both builds would leave their program at the same place.
-    static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-    let _guard = ONE_AT_A_TIME.lock().expect("no build before this one failed");
-    let target = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .parent()
-        .expect("inside the target folder");
-    let mut cargo = Command::new(env!("CARGO"));
-    cargo
-        .current_dir(super::root())
-        .args(["build", "--locked", "--package", "lipstream-firmware"])
-        .args(["--features", "mps2-an386", "--bin", "mps2-an386"])
-        .args(["--profile", profile, "--target", "thumbv7em-none-eabihf"])
-        .arg("--target-dir")
-        .arg(target)
-        .env_remove("LIPSTREAM_TABLES");
-    if let Some(tables) = tables {
-        let path = folder.join("model.tables");
-        std::fs::write(&path, tables).expect("write the tables");
-        cargo.env("LIPSTREAM_TABLES", path);
-    }
-    let output = cargo.output().expect("run cargo");
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let program = folder.join("mps2-an386");
-    let built = target
-        .join("thumbv7em-none-eabihf")
-        .join(profile)
-        .join("mps2-an386");
-    std::fs::copy(built, &program).expect("the program");
-    program
-}
 
 /// QEMU with `program` in it, `words` as its command line; nothing on the serial lines yet.
 fn qemu(program: &Path, words: &[&str]) -> Command {

@@ -46,7 +46,7 @@ pub(crate) fn measure(root: &Path) -> Result<Numbers> {
         let sections = names.iter().filter_map(|name| file.section_by_name(name));
         sections.map(|section| section.size()).sum()
     };
-    let image = size(&[".vector_table", ".text", ".rodata", ".data"]);
+    let image = size(&[".vector_table", ".text", ".rodata", ".data", ".model"]);
     let lives_on = size(&[".data", ".bss", ".uninit"]);
     let tables = std::fs::metadata(root.join("models/grid-s1.tables"))?.len();
     let (starting, running) = stack(&program, root.join("data/hello.wav"))?;

@@ -6,7 +6,7 @@ use super::Recurrent;
 use super::rate::rate;
 use super::rows::{self, Inputs};
 use super::tables::{Gate, MAX_MEMORY, SCALE_FRACTION_BITS, SIGNAL_FRACTION_BITS};
-use crate::fixed::{mul_high_rounded, round_shift, saturate_i16};
+use crate::fixed::{mul_high_rounded, mul_long, round_shift, saturate_i16};
 use crate::frame::MAX_PARAMETERS;
 use crate::hmm::gates::{Gates, N_GATES};
 
@@ -75,7 +75,7 @@ impl Sums {
 fn unit(scale: i32, weight: u32) -> i32 {
     const SHIFT: u32 = 16 + SCALE_FRACTION_BITS - SUM_FRACTION_BITS;
     // 2¹⁷ · 2³¹, shifted down to 2²⁸.
-    let unit = ((i64::from(weight) * i64::from(scale)) >> SHIFT) as i32;
+    let unit = (mul_long(weight as i32, scale) >> SHIFT) as i32;
     unit.clamp(-(1 << 20), 1 << 20)
 }
 
@@ -167,7 +167,7 @@ impl Memory {
                 return;
             };
             // Q10 · Q20 to Q14, as one product of a word and a halfword: below 2¹⁵ · 2³¹ / 2¹⁶.
-            let driven = ((i64::from(saturate_i16(d)) * i64::from(*w)) >> 16) as i32;
+            let driven = (mul_long(i32::from(saturate_i16(d)), *w) >> 16) as i32;
             let driven = driven.clamp(-(1 << 26), 1 << 26) << 2;
             // Both below 2²⁸, h within as much: it never leaves where its targets are.
             let target = driven + (*r >> (SUM_FRACTION_BITS - MEMORY_FRACTION_BITS));

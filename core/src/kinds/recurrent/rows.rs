@@ -6,13 +6,13 @@
 //! which all are wanted and share a walk through the inputs, [`product`].
 use super::tables::{BLOCK, Blocks, MAX_MEMORY, Rows, SCALE_FRACTION_BITS};
 use crate::context::tables::MAX_INPUTS;
-use crate::fixed::{halves, mul_halves, mul_high_rounded, round_shift_i64, saturate_i32};
+use crate::fixed::{halves, mul_halves, mul_high_rounded, mul_long, round_shift_i64, saturate_i32};
 
 /// bias + scale·sum / 2²⁴, rounded; held to 32 bits.
 #[inline]
 fn scaled(sum: i32, scale: i32, bias: i32) -> i32 {
     // Below 2³¹ · 2³¹; the bias is below 2³¹.
-    let product = i64::from(sum) * i64::from(scale);
+    let product = mul_long(sum, scale);
     saturate_i32(round_shift_i64(product, SCALE_FRACTION_BITS) + i64::from(bias))
 }
 
@@ -28,6 +28,17 @@ fn mask() -> u32 {
 /// Four products more, modulo 2³².
 #[inline(always)]
 fn four(sum: i32, weights: &[u8; BLOCK], [even, odd]: &[u32; 2], mask: u32) -> i32 {
+    if cfg!(short_products) {
+        // The processor would have to take the halfwords apart again.
+        let inputs = [
+            *even as i16,
+            *odd as i16,
+            (*even >> 16) as i16,
+            (*odd >> 16) as i16,
+        ];
+        let products = weights.iter().zip(inputs);
+        return products.fold(sum, |sum, (w, u)| sum.wrapping_add(i32::from(*w) * i32::from(u)));
+    }
     let word = u32::from_le_bytes(*weights);
     let sum = mul_halves(sum, word & mask, *even);
     mul_halves(sum, word.rotate_right(8) & mask, *odd)

@@ -1,13 +1,16 @@
 //! The firmware in QEMU gives what the core gives on the host, byte for byte, over its UART and from files.
-mod common;
-
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
-use common::qemu::{Machine, build_firmware, bytes, pcm, run_on_file};
+use crate::common;
+use crate::common::build::build_firmware;
+use crate::common::qemu::{self, Machine, bytes, pcm, run_on_file};
+use crate::compare::{assert_same, expected_hello, frames, host, is_status};
 use lipstream::link::{Link, Losses, greeting};
-use lipstream_core::wire::{Frame, Hello, MAX_ENCODED, PROTOCOL, Profile, Status, ToDevice, ToHost, encode};
-use lipstream_core::{AnyModel, AnyStream, ParameterFrame, StreamSettings};
+use lipstream_core::wire::{PROTOCOL, Profile, Status, ToDevice, ToHost};
+use lipstream_core::{AnyModel, StreamSettings};
+
+const BOARD: &str = "mps2-an386";
 
 struct Firmware {
     program: PathBuf,
@@ -18,48 +21,9 @@ struct Firmware {
 fn firmware() -> &'static Firmware {
     static FIRMWARE: OnceLock<Firmware> = OnceLock::new();
     FIRMWARE.get_or_init(|| Firmware {
-        program: build_firmware(&common::folder("firmware"), "firmware", None),
+        program: build_firmware(BOARD, &common::folder("firmware"), "firmware", None),
         tables: common::shipped_tables(),
     })
-}
-
-/// The bytes that the host would send for `frames`.
-fn encoded(frames: &[ParameterFrame]) -> Vec<Vec<u8>> {
-    (0..)
-        .zip(frames)
-        .map(|(sequence, frame)| encode_to_host(&ToHost::Frame(Frame::new(sequence, frame))))
-        .collect()
-}
-
-fn encode_to_host(message: &ToHost) -> Vec<u8> {
-    encode(message, &mut [0; MAX_ENCODED]).expect("room").to_vec()
-}
-
-/// The frames among `messages` as bytes.
-fn frames(messages: &[ToHost]) -> Vec<Vec<u8>> {
-    messages
-        .iter()
-        .filter(|message| matches!(message, ToHost::Frame(_)))
-        .map(encode_to_host)
-        .collect()
-}
-
-/// A failing comparison says where the two part, not a hundred kilobytes.
-fn assert_same(device: &[Vec<u8>], host: &[Vec<u8>]) {
-    assert!(!host.is_empty());
-    for (i, (device, host)) in device.iter().zip(host).enumerate() {
-        assert_eq!(device, host, "frame {i}");
-    }
-    assert_eq!(device.len(), host.len());
-}
-
-fn expected_hello(model: &AnyModel, settings: StreamSettings) -> Hello {
-    let lag = AnyStream::new(model, settings).delay_samples();
-    Hello::new(model.head(), model.n_visemes(), 100, lag as u16)
-}
-
-fn is_status(message: &ToHost) -> bool {
-    matches!(message, ToHost::Status(_))
 }
 
 /// Enough speech for more than one round of `Hello` and `Status` where a test does not need all of it.
@@ -97,10 +61,6 @@ fn uart_gives_the_hosts_bytes() {
         }
     }
     assert_eq!(link.losses(), Losses::default());
-}
-
-fn host(model: &AnyModel, settings: StreamSettings, samples: &[i16]) -> Vec<Vec<u8>> {
-    encoded(&common::host_frames(model, settings, samples))
 }
 
 /// Everything that comes for `line`, up to the one `Status` at `Stop`; for less than a second of speech.
@@ -301,7 +261,12 @@ fn files_give_the_hosts_bytes() {
 #[test]
 fn random_model_with_every_check() {
     let tables = common::synthetic_tables();
-    let program = build_firmware(&common::folder("firmware-checked"), "checked", Some(&tables));
+    let program = build_firmware(
+        BOARD,
+        &common::folder("firmware-checked"),
+        "checked",
+        Some(&tables),
+    );
     check_on_files("firmware-checked-files", &Firmware { program, tables });
 }
 
@@ -312,8 +277,8 @@ fn damaged_tables_are_refused() {
     let mut tables = common::shipped_tables();
     let middle = tables.len() / 2;
     tables[middle] ^= 1;
-    let program = build_firmware(&folder, "firmware", Some(&tables));
-    let said = common::qemu::refuses(&program);
+    let program = build_firmware(BOARD, &folder, "firmware", Some(&tables));
+    let said = qemu::refuses(&program);
     assert!(said.starts_with("lipstream: model is damaged"), "{said}");
     assert_eq!(said.trim_end().lines().count(), 1, "{said}");
 }

@@ -1,0 +1,32 @@
+//! lipstream on Arduino's Nano 33 BLE Sense.
+#![no_std]
+#![no_main]
+
+use nrf52840_hal::gpio::{DriveConfig, Level, p0, p1};
+
+#[path = "../nrf52840/mod.rs"]
+mod nrf52840;
+
+use nrf52840::{BoardPins, uart};
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    nrf52840::run(pins)
+}
+
+fn pins(p0: p0::Parts, p1: p1::Parts) -> BoardPins {
+    BoardPins {
+        led: p0.p0_13.into_push_pull_output(Level::High).degrade(),
+        uart: uart::pins(
+            p1.p1_03.into_push_pull_output(Level::High).degrade(),
+            p1.p1_10.into_floating_input().degrade(),
+        ),
+        // The microphone's supply current needs the strong driver.
+        power: p0
+            .p0_17
+            .into_push_pull_output_drive(Level::High, DriveConfig::HighDrive0HighDrive1)
+            .degrade(),
+        pdm_clock: p0.p0_26.into_push_pull_output(Level::Low).degrade(),
+        pdm_data: p0.p0_25.into_floating_input().degrade(),
+    }
+}

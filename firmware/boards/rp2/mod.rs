@@ -1,0 +1,198 @@
+//! What the boards of Raspberry Pi have in common: clocks, pins, ports, and the loop around the application.
+//!
+//! | pin | |
+//! |---|---|
+//! | GP0, GP1 | UART: what the board sends, what it hears |
+//! | GP16, GP17, GP18 | I²S: bit clock, word select, data |
+//! | GP25 | LED |
+mod hot;
+mod i2s;
+#[path = "../common/model.rs"]
+mod model;
+mod uart;
+#[path = "../common/usb.rs"]
+mod usb;
+mod usb_bus;
+
+use cortex_m::peripheral::SYST;
+use cortex_m_rt::exception;
+use embedded_hal::digital::StatefulOutputPin;
+use lipstream_core::Model;
+use lipstream_firmware::port::{Ports, Queues};
+use lipstream_firmware::turn::Turn;
+use lipstream_firmware::{App, Clock};
+use static_cell::{ConstStaticCell, StaticCell};
+
+use crate::hal;
+use hal::Clock as _;
+use hal::gpio::{FunctionPio0, FunctionUart, Pins, PullDown, PullUp};
+use hal::pac;
+use i2s::Microphone;
+use model::Kind;
+
+/// Where the model is copied to: the flash's cache is small, and what it misses takes fifty cycles.
+static MODEL_BYTES: ConstStaticCell<ModelBytes> = ConstStaticCell::new(ModelBytes([0; MODEL_SPACE]));
+static MODEL: StaticCell<DeviceModel> = StaticCell::new();
+static APP: StaticCell<DeviceApp> = StaticCell::new();
+static USB_QUEUES: ConstStaticCell<Queues> = ConstStaticCell::new(Queues::new());
+static UART_QUEUES: ConstStaticCell<Queues> = ConstStaticCell::new(Queues::new());
+
+type DeviceModel = Model<'static, Kind>;
+type DeviceApp = App<'static, Kind, Ports, Microseconds>;
+
+/// Room for a model in RAM; a larger one runs from flash, more slowly.
+#[cfg(feature = "pico")]
+const MODEL_SPACE: usize = 182 * 1024;
+#[cfg(feature = "pico2")]
+const MODEL_SPACE: usize = 384 * 1024;
+
+/// Sections of a model lie at multiples of four.
+#[repr(align(4))]
+struct ModelBytes([u8; MODEL_SPACE]);
+
+/// Both boards' crystal.
+pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
+/// What the processor sleeps at most: sound is looked for as often.
+const WAKE_HZ: u32 = 1_000;
+/// The chip's timer.
+struct Microseconds(Timer);
+
+#[cfg(feature = "pico")]
+type Timer = hal::Timer;
+#[cfg(feature = "pico2")]
+type Timer = hal::Timer<hal::timer::CopyableTimer0>;
+
+impl Clock for Microseconds {
+    fn ticks(&self) -> u32 {
+        self.0.get_counter_low()
+    }
+}
+
+/// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
+#[inline(never)]
+fn make_app(model: &'static DeviceModel, ports: Ports, clock: Microseconds) -> &'static mut DeviceApp {
+    APP.init_with(|| App::new(model, ports, clock))
+}
+
+/// The model in RAM, where there is room for it.
+fn copied(model: &'static [u8]) -> &'static [u8] {
+    let place = MODEL_BYTES.take();
+    match place.0.get_mut(..model.len()) {
+        Some(copy) => {
+            copy.copy_from_slice(model);
+            copy
+        }
+        None => model,
+    }
+}
+
+/// Everything, for ever.
+pub(crate) fn run() -> ! {
+    hot::load();
+    let mut board = pac::Peripherals::take().expect("the first to ask");
+    let mut processor = cortex_m::Peripherals::take().expect("the first to ask");
+    let mut watchdog = hal::Watchdog::new(board.WATCHDOG);
+    let clocks = crate::begin_clocks(
+        board.XOSC,
+        board.CLOCKS,
+        board.PLL_SYS,
+        board.PLL_USB,
+        &mut board.RESETS,
+        &mut watchdog,
+    )
+    .expect("the crystal runs");
+    let sio = hal::Sio::new(board.SIO);
+    let pins = Pins::new(
+        board.IO_BANK0,
+        board.PADS_BANK0,
+        sio.gpio_bank0,
+        &mut board.RESETS,
+    );
+    let mut led = pins.gpio25.into_push_pull_output();
+
+    let model = match Model::new_checked(copied(model::in_flash())) {
+        Ok(model) => MODEL.init(model),
+        Err(error) => panic!("{error}"),
+    };
+
+    #[cfg(feature = "pico")]
+    let timer = hal::Timer::new(board.TIMER, &mut board.RESETS, &clocks);
+    #[cfg(feature = "pico2")]
+    let timer = hal::Timer::new_timer0(board.TIMER0, &mut board.RESETS, &clocks);
+    let (usb_app, usb_port) = USB_QUEUES.take().split();
+    let (uart_app, uart_port) = UART_QUEUES.take().split();
+    #[cfg(feature = "pico")]
+    let (usb_registers, usb_memory) = (board.USBCTRL_REGS, board.USBCTRL_DPRAM);
+    #[cfg(feature = "pico2")]
+    let (usb_registers, usb_memory) = (board.USB, board.USB_DPRAM);
+    let bus = hal::usb::UsbBus::new(
+        usb_registers,
+        usb_memory,
+        clocks.usb_clock,
+        true,
+        &mut board.RESETS,
+    );
+    usb::begin(bus, usb_port);
+    uart::begin(
+        board.UART0,
+        (
+            pins.gpio0.reconfigure::<FunctionUart, PullDown>(),
+            pins.gpio1.reconfigure::<FunctionUart, PullUp>(),
+        ),
+        &mut board.RESETS,
+        clocks.peripheral_clock.freq(),
+        uart_port,
+    );
+    let ports = Ports {
+        usb: usb_app,
+        uart: uart_app,
+        baud: uart::BAUD,
+        serve: || {
+            usb::serve();
+            uart::serve();
+        },
+    };
+    let app = make_app(model, ports, Microseconds(timer));
+    let mut microphone = Microphone::begin(
+        board.PIO0,
+        board.DMA,
+        &mut board.RESETS,
+        clocks.system_clock.freq().to_Hz(),
+        (
+            pins.gpio16.reconfigure::<FunctionPio0, PullDown>(),
+            pins.gpio17.reconfigure::<FunctionPio0, PullDown>(),
+            pins.gpio18.reconfigure::<FunctionPio0, PullDown>(),
+        ),
+    );
+    wake_up_every_millisecond(&mut processor.SYST, clocks.system_clock.freq().to_Hz());
+
+    let mut turn = Turn::new();
+    loop {
+        let heard = turn.take(app, &mut microphone, || {
+            // The pin's error type is one that cannot be.
+            let _ = led.toggle();
+        });
+        if !heard {
+            cortex_m::asm::wfi();
+        }
+    }
+}
+
+fn wake_up_every_millisecond(timer: &mut SYST, processor_hz: u32) {
+    timer.set_clock_source(cortex_m::peripheral::syst::SystClkSource::Core);
+    timer.set_reload(processor_hz / WAKE_HZ - 1);
+    timer.clear_current();
+    timer.enable_counter();
+    timer.enable_interrupt();
+}
+
+/// Only ends the processor's sleep.
+#[exception]
+fn SysTick() {}
+
+#[panic_handler]
+fn panic(_: &core::panic::PanicInfo) -> ! {
+    loop {
+        cortex_m::asm::wfi();
+    }
+}

@@ -1,0 +1,48 @@
+//! What every board's program takes of its flash and RAM, against what it may take.
+use std::collections::BTreeMap;
+
+use object::{Object, ObjectSection};
+
+use crate::common;
+use crate::common::build::{BOARDS, build_firmware};
+
+/// Bytes at most: of the program without its model; of RAM that lives on, without stack and a model's copy.
+const MOST_PROGRAM: u64 = 128 * 1024;
+const MOST_STATIC: u64 = 32 * 1024;
+/// Room for a model's copy in RAM, where the board makes one (`firmware/boards/rp2`).
+const COPIES: [(&str, u64); 2] = [("pico", 182 * 1024), ("pico2", 384 * 1024)];
+
+#[test]
+fn every_board_fits() {
+    let tables = common::shipped_tables();
+    for (board, _) in BOARDS {
+        let program = build_firmware(board, &common::folder(&format!("fits-{board}")), "firmware", None);
+        let bytes = std::fs::read(program).expect("the program");
+        let file = object::File::parse(&*bytes).expect("an ELF file");
+        let sections: BTreeMap<&str, u64> = file
+            .sections()
+            .filter_map(|section| Some((section.name().ok()?, section.size())))
+            .collect();
+        let size = |names: &[&str]| names.iter().filter_map(|name| sections.get(name)).sum::<u64>();
+        let program = size(&[
+            ".boot2",
+            ".vector_table",
+            ".start_block",
+            ".text",
+            ".rodata",
+            ".data",
+        ]);
+        let copy = COPIES
+            .iter()
+            .find(|(name, _)| *name == board)
+            .map_or(0, |(_, size)| *size);
+        let lives_on = size(&[".data", ".bss", ".uninit"]) - copy;
+        println!(
+            "{board}: program {program}, model {}, RAM {lives_on} and {copy} for the model",
+            sections[".model"]
+        );
+        assert_eq!(sections[".model"], tables.len() as u64, "{board}");
+        assert!(program <= MOST_PROGRAM, "{board}: program of {program} bytes");
+        assert!(lives_on <= MOST_STATIC, "{board}: {lives_on} bytes of RAM");
+    }
+}
