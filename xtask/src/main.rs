@@ -9,6 +9,7 @@
 //! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
+//! | `header` | Writes the C header of the core, `core/capi/lipstream.h`. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
 //! | `recognition` | Phone recognition under several settings, against labels. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
@@ -24,6 +25,7 @@ mod feedback;
 mod fidelity;
 mod gate;
 mod generated;
+mod header;
 mod pictures;
 mod recognition;
 mod tables;
@@ -41,6 +43,7 @@ const TOOLS: &[Tool] = &[
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),
     ("gate", gate::run),
+    ("header", header::run),
     ("pictures", pictures::run),
     ("recognition", recognition::run),
     ("tables", tables::run),
