@@ -88,7 +88,7 @@ impl JointState {
     /// The phone of its audio state.
     #[inline]
     pub const fn phone(self) -> usize {
-        (self.0 as u32 * RECIPROCAL >> RECIPROCAL_SHIFT) as usize
+        ((self.0 as u32 * RECIPROCAL) >> RECIPROCAL_SHIFT) as usize
     }
 
     /// Its slot among the phone's joint states.

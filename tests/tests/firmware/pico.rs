@@ -15,6 +15,9 @@ use crate::common::build::build_firmware;
 use crate::common::qemu::{bytes, pcm};
 use crate::compare::{assert_same, expected_hello, frames, host};
 
+/// Thousandths of the processor that the stream may take, interrupts included, at 133 MHz and with the emulator's model of the flash's
+/// cache: `docs/cost.md` has what it takes.
+const MOST_LOAD: u16 = 650;
 /// Sound for a second and a quarter: more than one round of `Hello` and `Status`.
 const LENGTH: usize = 20_000;
 
@@ -119,9 +122,9 @@ fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
     }
     assert_eq!(said.losses, [Losses::default(); 2]);
     assert_eq!((rounds.overruns, rounds.dropped), (0, 0));
-    // The device's own count, without the flash's wait states.
+    // The device's own count.
     println!("{rounds:?} {}", said.report);
-    assert!((1..=1000).contains(&rounds.load_permille), "{rounds:?}");
+    assert!((1..=MOST_LOAD).contains(&rounds.load_permille), "{rounds:?}");
     assert_eq!(said.report["bitClock"], 1_024_000.0);
     assert!(said.report["blinks"].as_u64() >= Some(2), "{}", said.report);
     let [used, size] = ["stackUsed", "stackSize"].map(|name| said.report[name].as_u64().expect("a number"));
