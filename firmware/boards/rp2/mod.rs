@@ -9,11 +9,13 @@ mod hot;
 mod i2s;
 #[path = "../common/model.rs"]
 mod model;
+#[path = "../common/trouble.rs"]
 mod trouble;
 mod uart;
 #[path = "../common/usb.rs"]
 mod usb;
 mod usb_bus;
+mod visible;
 
 use cortex_m::peripheral::SYST;
 use cortex_m_rt::exception;
