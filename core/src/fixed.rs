@@ -104,6 +104,10 @@ fn smlad(mut sum: i32, a: u32, b: u32) -> i32 {
     // SAFETY: reads and writes these registers and the Q flag. Not `pure`: the order in which the kernels write their products
     // keeps them in registers.
     unsafe {
+        // The assembler has to be told of a processor that has it, where the target's least does not.
+        #[cfg(smlad_of_m33)]
+        core::arch::asm!(".cpu cortex-m33", "smlad {0}, {1}, {2}, {0}", inout(reg) sum, in(reg) a, in(reg) b, options(nomem, nostack));
+        #[cfg(not(smlad_of_m33))]
         core::arch::asm!("smlad {0}, {1}, {2}, {0}", inout(reg) sum, in(reg) a, in(reg) b, options(nomem, nostack));
     }
     sum

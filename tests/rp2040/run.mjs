@@ -2,7 +2,8 @@
 //
 //   node run.mjs JOB.json
 //
-//   { "program": "pico", "sound": "in.pcm", "folder": "out", "stack": [lowest, past the highest], "events": [...] }
+//   { "program": "pico", "sound": "in.pcm", "folder": "out", "stack": [lowest, past the highest], "events": [...],
+//     "flash": [[address, byte], ...], "milliseconds": 5000 }
 //
 // The sound is 16 kHz, i16, low byte first. Into the folder go usb.wire and uart.wire, what the board sent, and report.json. Events are what
 // the host does, each at its millisecond since the sound began (the microphone has settled, the program has started), in order:
@@ -131,10 +132,11 @@ class Cache {
   }
 }
 
-const { program, sound, folder, stack, events } = JSON.parse(readFileSync(process.argv[2]));
+const { program, sound, folder, stack, events, flash = [], milliseconds = 60000 } = JSON.parse(readFileSync(process.argv[2]));
 const mcu = new RP2040();
 mcu.logger = new ConsoleLogger(LogLevel.Error, true);
 load(mcu, program);
+for (const [address, byte] of flash) mcu.flash[address - FLASH] = byte;
 mcu.core.VTOR = VECTORS;
 mcu.core.SP = mcu.readUint32(VECTORS);
 mcu.core.PC = mcu.readUint32(VECTORS + 4) & ~1;
@@ -183,7 +185,8 @@ function happen({ usb, uart, open, reading: reads }) {
   }
 }
 port.onSerialData = (bytes) => said.usb.push(...bytes);
-let blinks = 0;
+let [blinks, watchdog] = [0, 0];
+mcu.peripherals[0x40058].onWatchdogTrigger = () => watchdog++;
 mcu.gpio[LED].addListener(() => blinks++);
 
 const pio = mcu.pio[0];
@@ -192,7 +195,7 @@ const { clock, core } = mcu;
 const cycleNanos = () => 1e9 / mcu.clkSys;
 let [cycles, awake, nextStep] = [0, 0, Infinity];
 // Until a tenth of a second after the sound.
-while (microphone.over < 1600) {
+while (microphone.over < 1600 && clock.nanos < milliseconds * 1e6) {
   let spent;
   if (core.waiting) {
     // To whatever comes first: a timer, or the next step of PIO.
@@ -222,6 +225,6 @@ const bitClock = (mcu.clkSys / (pio.machines[0].clockDivInt + pio.machines[0].cl
 // cortex-m-rt painted the stack; what was used lost its paint.
 let lowest = stack[0];
 while (lowest < stack[1] && mcu.readUint32(lowest) === 0xcccccccc) lowest += 4;
-const report = { clockHz: mcu.clkSys, cycles, awake, misses: cache.misses, blinks, bitClock, stackUsed: stack[1] - lowest, stackSize: stack[1] - stack[0] };
+const report = { clockHz: mcu.clkSys, cycles, awake, misses: cache.misses, blinks, watchdog, bitClock, stackUsed: stack[1] - lowest, stackSize: stack[1] - stack[0] };
 writeFileSync(join(folder, 'report.json'), JSON.stringify(report));
 process.exit(0);

@@ -2,10 +2,13 @@
 #[path = "../common/model.rs"]
 mod model;
 mod pdm;
+#[path = "../common/trouble.rs"]
+mod trouble;
 pub(crate) mod uart;
 #[path = "../common/usb.rs"]
 mod usb;
 mod usb_bus;
+mod visible;
 
 use cortex_m::peripheral::syst::SystClkSource;
 use embedded_hal::digital::StatefulOutputPin;
@@ -88,11 +91,8 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         pdm_clock,
         pdm_data,
     } = pins(p0::Parts::new(board.P0), p1::Parts::new(board.P1));
+    visible::led_is(led.pin());
 
-    let model = match Model::new_checked(model::in_flash()) {
-        Ok(model) => MODEL.init(model),
-        Err(error) => panic!("{error}"),
-    };
     let (usb_app, mut usb_port) = USB_QUEUES.take().split();
     let (uart_app, uart_port) = UART_QUEUES.take().split();
     usb_port.set_open(false);
@@ -110,6 +110,11 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
             uart::serve();
         },
     };
+    // With the UART at hand, to say it where it is wrong.
+    let model = match Model::new_checked(model::in_flash()) {
+        Ok(model) => MODEL.init(model),
+        Err(error) => panic!("{error}"),
+    };
     let app = make_app(model, ports, Microseconds::begin(board.TIMER0));
     let mut microphone = Microphone::begin(board.PDM, &pdm_clock, &pdm_data);
     processor.SYST.set_clock_source(SystClkSource::Core);
@@ -119,7 +124,9 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
     processor.SYST.enable_interrupt();
 
     let mut turn = Turn::new();
+    visible::begin_watchdog(&board.WDT);
     loop {
+        visible::keep();
         let heard = turn.take(app, &mut microphone, || {
             // The pin's error type is one that cannot be.
             let _ = led.toggle();
@@ -127,12 +134,5 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         if !heard {
             cortex_m::asm::wfi();
         }
-    }
-}
-
-#[panic_handler]
-fn panic(_: &core::panic::PanicInfo) -> ! {
-    loop {
-        cortex_m::asm::wfi();
     }
 }

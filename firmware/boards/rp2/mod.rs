@@ -9,10 +9,13 @@ mod hot;
 mod i2s;
 #[path = "../common/model.rs"]
 mod model;
+#[path = "../common/trouble.rs"]
+mod trouble;
 mod uart;
 #[path = "../common/usb.rs"]
 mod usb;
 mod usb_bus;
+mod visible;
 
 use cortex_m::peripheral::SYST;
 use cortex_m_rt::exception;
@@ -52,6 +55,8 @@ struct ModelBytes([u8; MODEL_SPACE]);
 
 /// Both boards' crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
+/// After so long without a turn of the loop the board starts anew.
+const WATCHDOG: hal::fugit::MicrosDurationU32 = hal::fugit::MicrosDurationU32::millis(1000);
 /// What the processor sleeps at most: sound is looked for as often.
 const WAKE_HZ: u32 = 1_000;
 /// The chip's timer.
@@ -110,11 +115,6 @@ pub(crate) fn run() -> ! {
     );
     let mut led = pins.gpio25.into_push_pull_output();
 
-    let model = match Model::new_checked(copied(model::in_flash())) {
-        Ok(model) => MODEL.init(model),
-        Err(error) => panic!("{error}"),
-    };
-
     #[cfg(feature = "pico")]
     let timer = hal::Timer::new(board.TIMER, &mut board.RESETS, &clocks);
     #[cfg(feature = "pico2")]
@@ -152,6 +152,11 @@ pub(crate) fn run() -> ! {
             uart::serve();
         },
     };
+    // With the ports at hand, to say it where it is wrong.
+    let model = match Model::new_checked(copied(model::in_flash())) {
+        Ok(model) => MODEL.init(model),
+        Err(error) => panic!("{error}"),
+    };
     let app = make_app(model, ports, Microseconds(timer));
     let mut microphone = Microphone::begin(
         board.PIO0,
@@ -167,7 +172,10 @@ pub(crate) fn run() -> ! {
     wake_up_every_millisecond(&mut processor.SYST, clocks.system_clock.freq().to_Hz());
 
     let mut turn = Turn::new();
+    watchdog.pause_on_debug(true);
+    watchdog.start(WATCHDOG);
     loop {
+        watchdog.feed();
         let heard = turn.take(app, &mut microphone, || {
             // The pin's error type is one that cannot be.
             let _ = led.toggle();
@@ -189,10 +197,3 @@ fn wake_up_every_millisecond(timer: &mut SYST, processor_hz: u32) {
 /// Only ends the processor's sleep.
 #[exception]
 fn SysTick() {}
-
-#[panic_handler]
-fn panic(_: &core::panic::PanicInfo) -> ! {
-    loop {
-        cortex_m::asm::wfi();
-    }
-}

@@ -9,6 +9,8 @@ use crate::common::build::{BOARDS, build_firmware};
 /// Bytes at most: of the program without its model; of RAM that lives on, without stack and a model's copy.
 const MOST_PROGRAM: u64 = 128 * 1024;
 const MOST_STATIC: u64 = 32 * 1024;
+/// Code and constants that are copied to RAM, at most (`firmware/boards/rp2/hot.x`).
+const MOST_HOT: u64 = 32 * 1024;
 /// Room for a model's copy in RAM, where the board makes one (`firmware/boards/rp2`).
 const COPIES: [(&str, u64); 2] = [("pico", 182 * 1024), ("pico2", 384 * 1024)];
 
@@ -26,6 +28,7 @@ fn every_board_fits() {
         let size = |names: &[&str]| names.iter().filter_map(|name| sections.get(name)).sum::<u64>();
         let program = size(&[
             ".boot2",
+            ".hot",
             ".vector_table",
             ".start_block",
             ".text",
@@ -37,10 +40,12 @@ fn every_board_fits() {
             .find(|(name, _)| *name == board)
             .map_or(0, |(_, size)| *size);
         let lives_on = size(&[".data", ".bss", ".uninit"]) - copy;
+        let hot = size(&[".hot"]);
         println!(
-            "{board}: program {program}, model {}, RAM {lives_on} and {copy} for the model",
+            "{board}: program {program}, model {}, RAM {lives_on}, code {hot} and {copy} for the model",
             sections[".model"]
         );
+        assert!(hot <= MOST_HOT, "{board}: {hot} bytes of code in RAM");
         assert_eq!(sections[".model"], tables.len() as u64, "{board}");
         assert!(program <= MOST_PROGRAM, "{board}: program of {program} bytes");
         assert!(lives_on <= MOST_STATIC, "{board}: {lives_on} bytes of RAM");

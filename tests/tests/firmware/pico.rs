@@ -15,6 +15,9 @@ use crate::common::build::build_firmware;
 use crate::common::qemu::{bytes, pcm};
 use crate::compare::{assert_same, expected_hello, frames, host};
 
+/// Thousandths of the processor that the stream may take, interrupts included, at 133 MHz and with the emulator's model of the flash's
+/// cache: `docs/cost.md` has what it takes.
+const MOST_LOAD: u16 = 650;
 /// Sound for a second and a quarter: more than one round of `Hello` and `Status`.
 const LENGTH: usize = 20_000;
 
@@ -34,41 +37,8 @@ struct Said {
 
 /// Lets the board hear `samples` while the host does `events`.
 fn run(name: &str, samples: &[i16], events: &[Value]) -> Said {
-    let emulator = common::root().join("tests/rp2040");
-    assert!(
-        emulator.join("node_modules/rp2040js").is_dir(),
-        "no emulator: tests/setup npm:tests/rp2040 installs it"
-    );
-    let elf = std::fs::read(program()).expect("the program");
-    let file = object::File::parse(&*elf).expect("an ELF file");
-    let address = |name| {
-        let symbol = file
-            .symbol_by_name(name)
-            .unwrap_or_else(|| panic!("no symbol {name}"));
-        symbol.address()
-    };
-    let folder = common::folder(name);
-    let sound: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
-    std::fs::write(folder.join("sound.pcm"), sound).expect("write the sound");
-    let job = json!({
-        "program": program(),
-        "sound": folder.join("sound.pcm"),
-        "folder": folder,
-        "stack": [address("_stack_end"), address("_stack_start")],
-        "events": events,
-    });
-    std::fs::write(folder.join("job.json"), job.to_string()).expect("write the job");
-    let output = Command::new("node")
-        .arg(emulator.join("run.mjs"))
-        .arg(folder.join("job.json"))
-        .output()
-        .expect("run node");
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let model = AnyModel::new_checked(MODEL.get_or_init(common::shipped_tables)).expect("the shipped model");
+    let folder = emulate(name, samples, json!({ "events": events }));
+    let model = model();
     let read = |port: &str| {
         let mut link = Link::new(Some(model.head().id()));
         let mut messages = Vec::new();
@@ -85,6 +55,42 @@ fn run(name: &str, samples: &[i16], events: &[Value]) -> Said {
         report: serde_json::from_slice(&report).expect("the report"),
         losses: [usb_losses, uart_losses],
     }
+}
+
+/// The same with any job for the emulator; the folder with what came of it.
+fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
+    let emulator = common::root().join("tests/rp2040");
+    assert!(
+        emulator.join("node_modules/rp2040js").is_dir(),
+        "no emulator: tests/setup npm:tests/rp2040 installs it"
+    );
+    let elf = std::fs::read(program()).expect("the program");
+    let file = object::File::parse(&*elf).expect("an ELF file");
+    let address = |name| {
+        let symbol = file
+            .symbol_by_name(name)
+            .unwrap_or_else(|| panic!("no symbol {name}"));
+        symbol.address()
+    };
+    let folder = common::folder(name);
+    let sound: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
+    std::fs::write(folder.join("sound.pcm"), sound).expect("write the sound");
+    job["program"] = json!(program());
+    job["sound"] = json!(folder.join("sound.pcm"));
+    job["folder"] = json!(folder);
+    job["stack"] = json!([address("_stack_end"), address("_stack_start")]);
+    std::fs::write(folder.join("job.json"), job.to_string()).expect("write the job");
+    let output = Command::new("node")
+        .arg(emulator.join("run.mjs"))
+        .arg(folder.join("job.json"))
+        .output()
+        .expect("run node");
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    folder
 }
 
 static MODEL: OnceLock<Vec<u8>> = OnceLock::new();
@@ -119,10 +125,11 @@ fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
     }
     assert_eq!(said.losses, [Losses::default(); 2]);
     assert_eq!((rounds.overruns, rounds.dropped), (0, 0));
-    // The device's own count, without the flash's wait states.
+    // The device's own count.
     println!("{rounds:?} {}", said.report);
-    assert!((1..=1000).contains(&rounds.load_permille), "{rounds:?}");
+    assert!((1..=MOST_LOAD).contains(&rounds.load_permille), "{rounds:?}");
     assert_eq!(said.report["bitClock"], 1_024_000.0);
+    assert_eq!(said.report["watchdog"], 0);
     assert!(said.report["blinks"].as_u64() >= Some(2), "{}", said.report);
     let [used, size] = ["stackUsed", "stackSize"].map(|name| said.report[name].as_u64().expect("a number"));
     assert!(used + 4096 <= size, "{used} of {size} bytes of stack");
@@ -148,4 +155,56 @@ fn sound_from_the_host_takes_the_microphones_place() {
     assert_same(&frames(&said.usb[begin..]), &host(&model(), settings, samples));
     let status = last_status(&said.usb);
     assert_eq!((status.overruns, status.dropped, status.unknown), (0, 0, 0));
+}
+
+/// Noise on both lines, a port that closes and opens, a host that stops reading: one port's host loses frames, whole ones, and is told how
+/// many; the other port and the sound go on.
+#[test]
+fn troubles_of_one_host_are_its_own() {
+    let mut samples = common::hello()[..LENGTH].to_vec();
+    let noise: String = (0..600_u32)
+        .map(|i| format!("{:02x}", (i * 7919 + 3) % 251))
+        .collect();
+    let events = [
+        json!({ "ms": 50, "usb": noise }),
+        json!({ "ms": 60, "uart": noise[..40] }),
+        json!({ "ms": 200, "open": false }),
+        json!({ "ms": 300, "open": true }),
+        json!({ "ms": 400, "reading": false }),
+        json!({ "ms": 900, "reading": true }),
+    ];
+    let said = run("pico-troubles", &samples, &events);
+    samples.extend([0; 1600]);
+    let expected = host(&model(), StreamSettings::of(Profile::Standard), &samples);
+    let uart = frames(&said.uart);
+    assert!(uart.len() >= LENGTH / 160 - 10, "{} frames", uart.len());
+    assert_same(&uart, &expected[..uart.len()]);
+    let usb = frames(&said.usb);
+    assert!(
+        usb.len() < uart.len() && usb.len() > uart.len() / 4,
+        "{} frames",
+        usb.len()
+    );
+    assert!(usb.iter().all(|frame| expected.contains(frame)));
+    let status = last_status(&said.uart);
+    assert_eq!(status.overruns, 0);
+    assert!(status.dropped > 0, "{status:?}");
+    assert_eq!(said.report["watchdog"], 0);
+}
+
+/// A model that is damaged in flash: words, and the LED's code instead of the heartbeat.
+#[test]
+fn a_damaged_model_is_refused_visibly() {
+    let tables = common::shipped_tables();
+    let at = 0x1010_0000 + tables.len() / 2;
+    let job = json!({ "events": [], "flash": [[at, tables[tables.len() / 2] ^ 1]], "milliseconds": 2500 });
+    let folder = emulate("pico-damaged", &[0; 16], job);
+    let said = std::fs::read(folder.join("uart.wire")).expect("what was sent");
+    let said = String::from_utf8_lossy(&said);
+    assert!(said.starts_with("\0lipstream: model is damaged"), "{said}");
+    let report: Value =
+        serde_json::from_slice(&std::fs::read(folder.join("report.json")).expect("the report"))
+            .expect("JSON");
+    // A second of darkness, two blinks, four changes.
+    assert!(report["blinks"].as_u64() >= Some(4), "{report}");
 }
