@@ -17,7 +17,7 @@ const OPUS_HEAD: &[u8; 8] = b"OpusHead";
 
 /// A decoder that is ready for packets.
 pub(super) enum Codec {
-    Opus(Opus),
+    Opus(Box<Opus>),
     Other {
         decoder: Box<dyn AudioDecoder>,
         rate_hz: u32,
@@ -82,9 +82,9 @@ impl Codec {
     /// The decoder that a container's words about a track ask for.
     pub(super) fn new(parameters: &AudioCodecParameters) -> Result<Self> {
         if parameters.codec == CODEC_ID_OPUS {
-            return Ok(Self::Opus(Opus::new(
+            return Ok(Self::Opus(Box::new(Opus::new(
                 parameters.extra_data.as_deref().unwrap_or_default(),
-            )?));
+            )?)));
         }
         let registry = symphonia::default::get_codecs();
         let decoder = registry

@@ -71,7 +71,7 @@ impl<'a> Ogg<'a> {
         let comment = header()?;
         let codec = if kind == OPUS {
             check_comment(comment.strip_prefix(b"OpusTags"), kind)?;
-            Codec::Opus(Opus::new(&first)?)
+            Codec::Opus(Box::new(Opus::new(&first)?))
         } else {
             check_comment(comment.strip_prefix(b"\x03vorbis"), kind)?;
             vorbis(first, &header()?)?
