@@ -5,6 +5,7 @@
 //! | `bless` | Writes the vectors of `tests/src/stream.rs` anew. |
 //! | `beam` | Active joint states per frame against the width of the beam: `beam TABLES WAV...`. |
 //! | `cost` | What front end, stream and firmware cost on Cortex-M, counted in QEMU: writes `docs/cost.md`, or checks it. |
+//! | `cues` | Mouth shapes against phones whose times are known: `cues FOLDER`. |
 //! | `faces` | Faces drawn onto a background against recordings of the same sentences. |
 //! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
@@ -20,6 +21,7 @@ use anyhow::{Result, bail};
 mod beam;
 mod bless;
 mod cost;
+mod cues;
 mod faces;
 mod feedback;
 mod fidelity;
@@ -39,6 +41,7 @@ const TOOLS: &[Tool] = &[
     ("beam", beam::run),
     ("bless", bless::run),
     ("cost", cost::run),
+    ("cues", cues::run),
     ("faces", faces::run),
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),

@@ -564,6 +564,26 @@ fn a_rhubarb_user_changes_one_word() {
     assert!(error.starts_with("x.foo: write .tsv"), "{error}");
 }
 
+/// An ending that no format has is no folder's name, and capitals make no difference.
+#[test]
+fn alignments_go_where_their_name_says() {
+    let folder = common::folder("cli-align-endings");
+    std::fs::write(
+        folder.join("text.txt"),
+        "Hello. I read your sound, and I move this mouth with it, live.",
+    )
+    .unwrap();
+    let hello = hello();
+    let align = |out: &str| ["align", &hello, "-t", "text.txt", "-o", out].map(str::to_owned);
+    let error = refuse(&folder, &align("s.ctm"));
+    assert!(error.starts_with("s.ctm: write .lab"), "{error}");
+    assert!(!folder.join("s.ctm").exists());
+    succeed(&folder, &align("S.JSON"));
+    assert!(folder.join("S.JSON").is_file());
+    succeed(&folder, &align("v1.2/"));
+    assert!(folder.join("v1.2/hello.TextGrid").is_file());
+}
+
 /// What cannot be written is said in a line, whether it is the answer itself or only the word about it.
 #[test]
 fn a_full_standard_output_is_said() {

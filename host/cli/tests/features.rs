@@ -189,7 +189,7 @@ fn bad_input_gets_one_line() {
     // 32-bit floats: tag 3, 64000 bytes a second, blocks of 4.
     let mut nan = patched(20, &[3, 0, 1, 0, 0x80, 0x3e, 0, 0, 0, 0xfa, 0, 0, 4, 0, 32, 0]);
     nan[44..48].copy_from_slice(&f32::NAN.to_le_bytes());
-    let cases: [(&str, Vec<u8>, &str); 12] = [
+    let cases: [(&str, Vec<u8>, &str); 10] = [
         ("empty", vec![], "the file is empty"),
         (
             "words",
@@ -201,17 +201,11 @@ fn bad_input_gets_one_line() {
         ("nan", nan, "sample 0 is not a finite number"),
         ("long-data", patched(40, &[0xfe; 4]), "promises 4278124286 bytes"),
         ("short-data", patched(40, &[2, 0, 0, 0]), "at byte 46"),
-        ("long-file", patched(4, &[0xfe; 4]), "promises 4278124294 bytes"),
         ("no-channels", patched(22, &[0, 0]), "zero channels"),
         (
             "slow",
             patched(24, &[0x40, 0x0f, 0, 0, 0x80, 0x1e, 0, 0]),
             "from 8000 to 192000 Hz",
-        ),
-        (
-            "trailing",
-            [&good[..], &[0xab; 77]].concat(),
-            "77 more bytes follow",
         ),
         ("cut-flac", b"fLaC\0\0\0\x22".to_vec(), "FLAC"),
     ];

@@ -182,6 +182,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
                     jobs.len()
                 );
             }
+            // A slash behind the name, or a folder that is there, says that one is meant.
+            let folder = out.is_dir() || out.as_os_str().as_encoded_bytes().ends_with(b"/");
+            if known.is_none() && !folder && extension(out).is_some() {
+                bail!(
+                    "{}: write .lab, .TextGrid, .phn or .json; a folder with a dot in its name ends in /",
+                    out.display()
+                );
+            }
             known.is_some()
         }
         None => false,

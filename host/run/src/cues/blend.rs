@@ -458,6 +458,49 @@ mod tests {
         assert_eq!(jaw[17], OPEN);
     }
 
+    /// `docs/visemes.md` says what the tables here and beside it say.
+    #[test]
+    fn the_documents_table_is_the_codes() {
+        use crate::cues::SHAPE_OF_VISEME;
+        use crate::phones::PHONES;
+        let document = include_str!("../../../../docs/visemes.md");
+        let number = |x: f32| x.to_string().trim_start_matches('0').to_owned();
+        let rows = document.lines().filter_map(|line| line.strip_prefix("| "));
+        let rows: Vec<Vec<&str>> = rows.map(|row| row.split('|').map(str::trim).collect()).collect();
+        for (v, name) in VISEMES.iter().enumerate() {
+            let row = rows.iter().find(|row| row[0] == *name);
+            let row = row.unwrap_or_else(|| panic!("{name} has no row"));
+            let mut said: Vec<&str> = row[1].split(' ').collect();
+            let mut phones: Vec<&str> = PHONES
+                .iter()
+                .filter(|(_, viseme)| usize::from(viseme.0) == v)
+                .map(|(phone, _)| *phone)
+                .collect();
+            said.sort_unstable();
+            phones.sort_unstable();
+            assert_eq!(said, phones, "{name}");
+            let shape = SHAPE_OF_VISEME[v];
+            assert_eq!(
+                (row[3], row[4]),
+                (&*shape.letter().to_string(), shape.preston_blair()),
+                "{name}"
+            );
+            let shares: Vec<String> = TO_OCULUS[v]
+                .iter()
+                .map(|&(k, share)| match share == 1.0 {
+                    true => OCULUS[k].to_owned(),
+                    false => format!("{} {}", OCULUS[k], number(share)),
+                })
+                .collect();
+            assert_eq!(row[5], shares.join(", "), "{name}");
+            let effects: Vec<String> = TO_ARKIT[v]
+                .iter()
+                .map(|(shape, amount)| format!("{shape} {}", number(*amount)))
+                .collect();
+            assert_eq!(row[6], effects.join(", "), "{name}");
+        }
+    }
+
     #[test]
     fn every_effect_names_a_blend_shape() {
         let all = TO_ARKIT
