@@ -236,7 +236,7 @@ fn a_budget_chooses_the_beam() {
         let tables = std::fs::read(folder.join("fit.tables")).unwrap();
         let model = Model::<Recurrent>::new_checked(&tables).unwrap();
         let beam = model.own().settings().beam.q12() >> 12;
-        assert!(said.contains(&format!("beam {beam} bits: 180.9 KiB")), "{said}");
+        assert!(said.contains(&format!("beam {beam} bits: 173.9 KiB")), "{said}");
         assert_eq!(said.matches(": chosen\n").count(), 1, "{said}");
         beam
     };

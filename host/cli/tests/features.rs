@@ -129,11 +129,13 @@ fn causal_normalisation_is_the_same_in_training_and_on_the_device() {
     };
     assert_eq!(fixed, core_observations(device));
 
-    // It is another thing than no normalisation, in the statics alone.
-    let raw = features(&folder, &[]);
-    for (normalised, raw) in float.outer_iter().zip(raw.outer_iter()) {
-        for i in 0..N_OBSERVATION {
-            assert_eq!(normalised[i] == raw[i], i >= N_STATIC, "number {i}");
+    // It is another thing than no normalisation; Δ and ΔΔ do not know the mean.
+    let raw = reference::live_statics(&common::hello());
+    let delta = reference::deltas(raw.view());
+    for (normalised, (raw, delta)) in float.outer_iter().zip(raw.outer_iter().zip(delta.outer_iter())) {
+        for i in 0..N_STATIC {
+            assert!(normalised[i] != raw[i] as f32, "number {i}");
+            assert_eq!(normalised[N_STATIC + i], delta[i] as f32, "number {}", N_STATIC + i);
         }
     }
 }
