@@ -124,7 +124,11 @@ fn a_given_offset_moves_sound_and_labels() {
         ]
         .concat(),
     );
-    std::fs::write(root.join("clips/one.lab"), "0 5000000 sil\n5000000 7000000 b\n7000000 42000000 sil\n").unwrap();
+    std::fs::write(
+        root.join("clips/one.lab"),
+        "0 5000000 sil\n5000000 7000000 b\n7000000 42000000 sil\n",
+    )
+    .unwrap();
     let prepared = |offset: &str| {
         let ran = Command::new(env!("CARGO_BIN_EXE_lipstream"))
             .current_dir(root)

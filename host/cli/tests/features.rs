@@ -135,7 +135,12 @@ fn causal_normalisation_is_the_same_in_training_and_on_the_device() {
     for (normalised, (raw, delta)) in float.outer_iter().zip(raw.outer_iter().zip(delta.outer_iter())) {
         for i in 0..N_STATIC {
             assert!(normalised[i] != raw[i] as f32, "number {i}");
-            assert_eq!(normalised[N_STATIC + i], delta[i] as f32, "number {}", N_STATIC + i);
+            assert_eq!(
+                normalised[N_STATIC + i],
+                delta[i] as f32,
+                "number {}",
+                N_STATIC + i
+            );
         }
     }
 }

@@ -60,7 +60,7 @@ pub fn write(format: Format, cues: &[Cue], sound: &str) -> String {
     write_as(format, cues, sound, &Style::default())
 }
 
-/// [`write`] in another style.
+/// [`write()`] in another style.
 pub fn write_as(format: Format, cues: &[Cue], sound: &str, style: &Style) -> String {
     let cues = &in_hundredths(cues);
     let end_s = cues.last().map_or(0.0, |c| c.end_s);

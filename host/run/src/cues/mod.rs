@@ -192,7 +192,7 @@ pub enum CueError {
 const LEAST_FRAMES: usize = 7;
 
 /// Viterbi over shapes, frame by frame: Σ ln weight, less a cost for every change of shape (2 for closing lips, 5 for others); a shape that was changed to stays
-/// for [`LEAST_FRAMES`]. Keeps 11 bytes a frame: which shape each came from when it began, and which have lasted.
+/// for as long as a shape lasts at least. Keeps 11 bytes a frame: which shape each came from when it began, and which have lasted.
 #[derive(Default)]
 pub struct Shapes {
     /// Score of every shape by how long it has lasted, in frames less one; the last is for all that may change.
