@@ -7,9 +7,24 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 15] = [
-    "align", "check", "convert", "cues", "demo", "evaluate", "export", "features", "mos", "prepare",
-    "prompts", "record", "render", "train", "view",
+const COMMANDS: [&str; 17] = [
+    "align",
+    "check",
+    "completions",
+    "convert",
+    "cues",
+    "demo",
+    "evaluate",
+    "export",
+    "features",
+    "man",
+    "mos",
+    "prepare",
+    "prompts",
+    "record",
+    "render",
+    "train",
+    "view",
 ];
 
 fn path(path: &Path) -> String {
@@ -58,6 +73,41 @@ fn every_command_explains_itself() {
         long.starts_with(short) && long.contains("MIT") && long.contains("CC BY 4.0"),
         "{long}"
     );
+}
+
+/// The scripts and pages name every command, and the shell that is here takes its script.
+#[test]
+fn shells_and_man_know_every_command() {
+    let folder = common::folder("cli-manual");
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let script = succeed(&folder, &["completions", shell]);
+        assert!(COMMANDS.iter().all(|command| script.contains(command)), "{shell}");
+    }
+    std::fs::write(
+        folder.join("lipstream.bash"),
+        succeed(&folder, &["completions", "bash"]),
+    )
+    .unwrap();
+    let checked = std::process::Command::new("bash")
+        .current_dir(&folder)
+        .args(["-c", "source ./lipstream.bash && complete -p lipstream"])
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&checked.stdout).into_owned();
+    assert!(checked.status.success() && said.contains("_lipstream"), "{said}");
+
+    succeed(&folder, &["man", "pages"]);
+    let mut want: Vec<String> = COMMANDS
+        .iter()
+        .map(|command| format!("lipstream-{command}.1"))
+        .collect();
+    want.push("lipstream.1".to_owned());
+    want.sort();
+    assert_eq!(files(&folder.join("pages")), want);
+    let page = std::fs::read_to_string(folder.join("pages/lipstream-render.1")).unwrap();
+    assert!(page.starts_with(".ie") || page.contains(".TH"), "{page}");
+    std::fs::write(folder.join("taken"), "").unwrap();
+    assert!(refuse(&folder, &["man", "taken/pages"]).contains("cannot make the folder taken/pages"));
 }
 
 #[test]

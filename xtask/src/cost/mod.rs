@@ -21,7 +21,7 @@ use object::{Object, ObjectSection, ObjectSymbol};
 const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 
 /// Most instructions of a hop on Cortex-M4 with all 39 numbers.
-const MOST_INSTRUCTIONS: u64 = 35_000;
+const MOST_INSTRUCTIONS: u64 = 36_000;
 
 /// Rows of the table: the program's name for a number, and ours.
 const ROWS: [(&str, &str); 16] = [

@@ -2,7 +2,7 @@
 use std::ffi::OsString;
 
 use anyhow::Result;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 
 mod advice;
 mod align;
@@ -17,6 +17,7 @@ mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;
+mod manual;
 mod mos;
 mod prepare;
 mod prompts;
@@ -41,12 +42,14 @@ struct Cli {
 enum Command {
     Align(align::Args),
     Check(check::Args),
+    Completions(manual::Completions),
     Convert(convert::Args),
     Cues(cues::Args),
     Demo(demo::Args),
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Man(manual::Man),
     Mos(mos::Args),
     Prepare(prepare::Args),
     Prompts(prompts::Args),
@@ -61,12 +64,14 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
     let done = match Cli::parse_from(args).command {
         Command::Align(args) => align::run(args),
         Command::Check(args) => check::run(args),
+        Command::Completions(args) => manual::completions(args, Cli::command()),
         Command::Convert(args) => convert::run(args),
         Command::Cues(args) => cues::run(args),
         Command::Demo(args) => demo::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
         Command::Prepare(args) => prepare::run(args),
         Command::Prompts(args) => prompts::run(args),
