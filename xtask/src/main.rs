@@ -9,6 +9,7 @@
 //! | `faces` | Faces drawn onto a background against recordings of the same sentences. |
 //! | `feedback` | The paper's EM feedback, live, at several exponents of the mouth. |
 //! | `fidelity` | What the device costs a model, step by step. |
+//! | `fit` | Whether texts are found to be what is said, and by what margin. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `header` | Writes the C header of the core, `core/capi/lipstream.h`. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
@@ -25,6 +26,7 @@ mod cues;
 mod faces;
 mod feedback;
 mod fidelity;
+mod fit;
 mod gate;
 mod generated;
 mod header;
@@ -45,6 +47,7 @@ const TOOLS: &[Tool] = &[
     ("faces", faces::run),
     ("feedback", feedback::run),
     ("fidelity", fidelity::run),
+    ("fit", fit::run),
     ("gate", gate::run),
     ("header", header::run),
     ("pictures", pictures::run),

@@ -75,6 +75,37 @@ fn every_command_explains_itself() {
     );
 }
 
+/// The shipped model is in the program: whoever names none gets it, in either arithmetic.
+#[test]
+fn without_a_model_it_is_the_shipped_one() {
+    let folder = common::folder("cli-shipped");
+    let models = common::root().join("models");
+    let (model, tables) = (
+        path(&models.join("grid-s1.safetensors")),
+        path(&models.join("grid-s1.tables")),
+    );
+    let hello = hello();
+    for (engine, named) in [("fixed", &tables), ("float", &model)] {
+        let words = ["convert", &hello, "--engine", engine, "-o"];
+        succeed(&folder, &[&words[..], &["own.csv"]].concat());
+        succeed(&folder, &[&words[..], &["named.csv", "-m", named]].concat());
+        let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
+        assert!(read("own.csv") == read("named.csv"), "{engine}");
+        let words = ["cues", &hello, "--engine", engine];
+        let own = succeed(&folder, &words);
+        assert_eq!(
+            own,
+            succeed(&folder, &[&words[..], &["-m", named]].concat()),
+            "{engine}"
+        );
+    }
+    succeed(&folder, &["render", &hello, "-o", "own.mp4"]);
+    succeed(&folder, &["render", &hello, "-o", "named.mp4", "-m", &model]);
+    assert!(
+        std::fs::read(folder.join("own.mp4")).unwrap() == std::fs::read(folder.join("named.mp4")).unwrap()
+    );
+}
+
 /// The scripts and pages name every command, and the shell that is here takes its script.
 #[test]
 fn shells_and_man_know_every_command() {

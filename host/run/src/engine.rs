@@ -216,6 +216,25 @@ impl Engine {
         }
     }
 
+    /// [`Engine::open_with`] on the file that is named, or else on the shipped model.
+    ///
+    /// # Errors
+    ///
+    /// As [`Engine::open`].
+    pub fn open_or_shipped(path: Option<&Path>, kind: Kind, visual_densities: bool) -> Result<Self> {
+        if let Some(path) = path {
+            return Self::open_with(path, kind, visual_densities);
+        }
+        if kind == Kind::Fixed && !visual_densities {
+            return Ok(Self::shipped());
+        }
+        let model = FloatModel::of_tensors(&Tensors::read_or_shipped(None)?)?;
+        match kind {
+            Kind::Fixed => Ok(Self::fixed(model.export(visual_densities)?)?),
+            Kind::Float => Ok(model.into()),
+        }
+    }
+
     /// The fixed engine on tables in memory.
     ///
     /// # Errors

@@ -16,7 +16,6 @@ use crate::error::Result;
 use crate::lips::Lips;
 use crate::mouth::MouthSpace;
 use crate::random::normal;
-use crate::shipped;
 use crate::tensors::Tensors;
 
 /// Mouths that are drawn: some for each parameter.
@@ -93,7 +92,7 @@ impl OpeningReader {
     ///
     /// None, as long as the shipped model is whole.
     pub fn shipped() -> Result<Option<Self>> {
-        let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+        let tensors = Tensors::read_or_shipped(None)?;
         Ok(Self::of(&MouthSpace::load(&tensors)?))
     }
 
@@ -193,7 +192,7 @@ mod tests {
     use crate::render::drawn::{Pose, draw};
 
     fn shipped() -> MouthSpace {
-        MouthSpace::load(&Tensors::parse(shipped::MODEL, "the shipped model").unwrap()).unwrap()
+        MouthSpace::load(&Tensors::read_or_shipped(None).unwrap()).unwrap()
     }
 
     #[test]

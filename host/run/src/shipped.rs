@@ -4,6 +4,8 @@
 pub const SOUND: &[u8] = include_bytes!("../shipped/hello.wav");
 /// The shipped model, see models/README.md: what is drawn with, and what converts.
 pub const MODEL: &[u8] = include_bytes!("../shipped/grid-s1.safetensors");
+/// What messages call it.
+pub const NAME: &str = "the shipped model";
 /// What `lipstream --version` says: the version, and on what terms program and shipped model are to be had (models/README.md says more).
 pub const VERSION: &str = concat!(
     env!("CARGO_PKG_VERSION"),

@@ -78,6 +78,18 @@ impl Tensors {
         Self::parse(&files::read_bytes(path)?, &path.display().to_string())
     }
 
+    /// [`Tensors::read`] of the file that is named, or else the shipped model.
+    ///
+    /// # Errors
+    ///
+    /// As [`Tensors::read`].
+    pub fn read_or_shipped(path: Option<&Path>) -> Result<Self> {
+        match path {
+            Some(path) => Self::read(path),
+            None => Self::parse(crate::shipped::MODEL, crate::shipped::NAME),
+        }
+    }
+
     /// A file's bytes; `name` says in errors where they are from.
     ///
     /// # Errors

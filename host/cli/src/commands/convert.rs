@@ -17,7 +17,7 @@ use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
 pub(crate) struct Args {
     /// Sound file with speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others; - is standard input. Or a stream that `lipstream record` made (.stream)
     wav: PathBuf,
-    /// Tables that `lipstream export` wrote, or a model (.safetensors)
+    /// Tables that `lipstream export` wrote, or a model (.safetensors) [default: the shipped one]
     #[arg(short, long)]
     model: Option<PathBuf>,
     /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights); - is standard output
@@ -62,10 +62,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if ending(&args.wav) == "stream" {
         return of_stream(&args, format);
     }
-    let Some(model) = &args.model else {
-        bail!("speech needs a model: --model MODEL (a recorded .stream needs none)");
-    };
-    let engine = Engine::open_with(model, args.engine.into(), args.feedback.is_some())?;
+    let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), args.feedback.is_some())?;
     let mut sound = open_sound(&args.wav)?;
     let with = RunSettings {
         lag: args.lag,

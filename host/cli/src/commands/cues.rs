@@ -85,7 +85,7 @@ fn opening(model: Option<&Path>, engine: &Engine) -> Result<Option<OpeningReader
     let own = model.map(OpeningReader::of_file).transpose()?.flatten();
     let is_shipped = || engine.model_id().is_some() && engine.model_id() == Engine::shipped().model_id();
     Ok(match own {
-        None if is_shipped() => OpeningReader::shipped()?,
+        None if model.is_none() || is_shipped() => OpeningReader::shipped()?,
         own => own,
     })
 }
@@ -157,11 +157,7 @@ fn make(args: &Args, events: &Events) -> Result<()> {
     if format != Some(Format::Dat) && (args.dat_frame_rate.is_some() || args.dat_use_preston_blair) {
         bail!("--datFrameRate and --datUsePrestonBlair are for --format dat");
     }
-    let engine = match &args.model {
-        Some(model) => Engine::open(model, args.engine.into())?,
-        None if args.engine == choices::Engine::Fixed => Engine::shipped(),
-        None => bail!("--engine float computes with a model in floats: give --model MODEL.safetensors"),
-    };
+    let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
     events.progress(0.0);
     let what = match format {
         Some(format) => {

@@ -10,7 +10,7 @@ use lipstream::cues::{self, Format};
 use lipstream::engine::{Converted, Engine, Kind, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::render::{self, Settings, page};
-use lipstream::shipped::{MODEL, SOUND, TABLES};
+use lipstream::shipped::SOUND;
 use lipstream::tensors::Tensors;
 use lipstream_media::{files, sound};
 
@@ -33,13 +33,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Some(wav) => (sound::read(wav)?.samples, name(wav)),
         None => (sound::decode(SOUND)?.samples, "hello.wav".to_owned()),
     };
-    let (tensors, engine) = match &args.model {
-        Some(path) => (Tensors::read(path)?, Engine::open(path, Kind::Fixed)?),
-        None => (
-            Tensors::parse(MODEL, "the shipped model")?,
-            Engine::fixed(TABLES.to_vec())?,
-        ),
-    };
+    let tensors = Tensors::read_or_shipped(args.model.as_deref())?;
+    let engine = Engine::open_or_shipped(args.model.as_deref(), Kind::Fixed, false)?;
     if !tensors.has("mouth.mean") {
         bail!("the model has no mouth, there is nothing to draw");
     }

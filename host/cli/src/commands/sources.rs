@@ -148,7 +148,7 @@ pub(crate) struct Model {
 impl Model {
     /// What can be drawn: the mouth of the shipped model, which `shipped` runs, and this one's.
     pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Arc<[Mouth]>> {
-        let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+        let tensors = Tensors::read_or_shipped(None)?;
         let mut mouths = vec![mouth(&tensors, shipped)?];
         if let Some((_, own)) = self.own.as_ref().filter(|(_, own)| own.has("mouth.mean")) {
             mouths.push(mouth(own, &self.engine)?);
@@ -162,8 +162,8 @@ impl Model {
         Ok(match &self.own {
             Some((path, tensors)) => (id, faces::mouth(tensors, path)?, path),
             None => {
-                let path = Path::new("the shipped model");
-                let tensors = Tensors::parse(shipped::MODEL, "the shipped model")?;
+                let path = Path::new(shipped::NAME);
+                let tensors = Tensors::read_or_shipped(None)?;
                 (id, faces::mouth(&tensors, path)?, path)
             }
         })

@@ -5,9 +5,9 @@
 use super::{Alignment, SpokenWord};
 
 /// Nats a frame of 5 ms by which the phones that are heard may explain a word's sound better than the word does, and by which they may explain
-/// all words' better. Chosen on GRID's validation clips and TIMIT's training speakers (docs/alignment.md).
-const MOST_OF_A_WORD: f64 = 8.0;
-const MOST_OF_ALL: f64 = 3.5;
+/// all words' better. Chosen on GRID's training clips and on TIMIT's training speakers, whom the shipped model has not heard (docs/alignment.md).
+const MOST_OF_A_WORD: f64 = 10.0;
+const MOST_OF_ALL: f64 = 4.5;
 /// A word shorter than this is judged together with its neighbours (s).
 const LEAST_S: f64 = 0.3;
 
@@ -97,9 +97,9 @@ mod tests {
             "{right:?}"
         );
         assert!(right.says());
-        let one_wrong = Fit::of(&alignment([-50.0, -41.0, -60.0, -50.0], &said), &heard).unwrap();
+        let one_wrong = Fit::of(&alignment([-50.0, -41.0, -62.0, -50.0], &said), &heard).unwrap();
         assert!(
-            (one_wrong.worst - 10.0).abs() < 1e-9 && !one_wrong.says(),
+            (one_wrong.worst - 12.0).abs() < 1e-9 && !one_wrong.says(),
             "{one_wrong:?}"
         );
         let all_wrong = Fit::of(&alignment([-50.0, -55.0, -56.0, -50.0], &said), &heard).unwrap();

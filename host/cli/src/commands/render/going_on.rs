@@ -69,7 +69,7 @@ fn key(args: &Args) -> Result<Option<u64>, FileError> {
     let beside = args.input.with_extension("wav");
     let files = [
         Some(&args.input),
-        Some(&args.model),
+        args.model.as_ref(),
         Some(&beside).filter(|path| ending(&args.input) == "stream" && path.exists()),
         args.audio.as_ref(),
         args.face.background.as_ref(),

@@ -1,5 +1,5 @@
 //! `lipstream render`: a video of the mouth, or of a face with it, with sound.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 
@@ -12,7 +12,7 @@ use lipstream::engine::{Converted, Engine, RunSettings};
 use lipstream::mouth::MouthSpace;
 use lipstream::render::{self, Painter, Scene as _, Settings, page};
 use lipstream::tensors::Tensors;
-use lipstream::{parameters, time};
+use lipstream::{parameters, shipped, time};
 use lipstream_make::details;
 use lipstream_make::features::FeatureFolder;
 use lipstream_media::files;
@@ -30,9 +30,9 @@ pub(crate) struct Args {
     /// Speech (WAV, FLAC, MP3, Ogg, M4A and others), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
     /// - is speech on standard input
     input: PathBuf,
-    /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well
+    /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well [default: the shipped one]
     #[arg(short, long)]
-    model: PathBuf,
+    model: Option<PathBuf>,
     /// Where to: .mp4, .html (a page that plays it), FOLDER/ (numbered PNG files), - (raw rgb24 pictures on standard output); every
     /// other video format needs ffmpeg
     #[arg(short, long)]
@@ -59,14 +59,21 @@ pub(crate) struct Args {
     detail_from: Option<PathBuf>,
 }
 
+impl Args {
+    /// What messages call the model.
+    fn model_name(&self) -> &Path {
+        self.model.as_deref().unwrap_or(Path::new(shipped::NAME))
+    }
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
     let settings = Settings {
         fps: args.fps,
         scale: args.scale,
         noise: args.noise.unwrap_or(0.0),
     };
-    let tensors = Tensors::read(&args.model)?;
-    let space = mouth(&tensors, &args.model)?;
+    let tensors = Tensors::read_or_shipped(args.model.as_deref())?;
+    let space = mouth(&tensors, args.model_name())?;
     settings.size(&space)?;
     let of_speech = !["stream", "npy"].contains(&ending(&args.input).as_str());
     if args.audio.is_some() && of_speech {
@@ -148,7 +155,7 @@ fn alone(
 /// A page, which carries its film: it is made in memory.
 fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
     let sound = read_sound(&args.input)?;
-    let engine = Engine::open(&args.model, args.engine.into())?;
+    let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
     let Converted { parameters, visemes } = engine.convert(&sound, &RunSettings::default())?;
     parameters::check(parameters.view()).with_context(|| format!("{} gives no mouth", name(&args.input)))?;
     let rendered = render::to_mp4(

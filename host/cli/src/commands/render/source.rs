@@ -78,7 +78,7 @@ pub(super) fn open(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
             };
             // A sound that cannot be read is named before the model is made ready.
             let sound = Sound::new(sound)?;
-            let engine = Engine::open(&args.model, args.engine.into())?;
+            let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
             Ok((Source::Speech(Box::new(engine)), sound))
         }
     }
@@ -87,7 +87,7 @@ pub(super) fn open(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
 /// A recorded stream, with the sound beside it if there is one.
 fn of_stream(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
     let recording = Recording::open(&args.input)?;
-    check_model(tensors, &args.model, recording.hello().model)?;
+    check_model(tensors, args.model_name(), recording.hello().model)?;
     let beside = args.input.with_extension("wav");
     let sound = match &args.audio {
         Some(path) => Kept::File(path.clone()),
