@@ -26,6 +26,9 @@ use lipstream_media::files;
 /// Version of the folder: raised whenever its layout or the numbers of the front end change; another version is refused in words.
 pub const MANIFEST_VERSION: u32 = 2;
 
+/// Most frames of a clip, 46 hours of sound: what a manifest promises is not believed beyond.
+pub const MOST_FRAMES: usize = 1 << 24;
+
 /// What is in a feature folder.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Manifest {
@@ -331,6 +334,13 @@ impl Clip {
     }
 
     fn check(&self) -> Result<()> {
+        for (what, frames) in [("sound", self.audio_frames), ("pictures", self.video_frames)] {
+            ensure!(
+                frames <= MOST_FRAMES,
+                File,
+                "{frames} frames of {what} are more than a clip has: at most {MOST_FRAMES}"
+            );
+        }
         if self.video_frames > 0 {
             ensure!(
                 self.video_hz.is_finite() && self.video_hz > 0.0,
@@ -450,7 +460,7 @@ mod tests {
 
     #[test]
     fn damaged_manifests_are_refused() {
-        let damages: [fn(&mut Manifest); 12] = [
+        let damages: [fn(&mut Manifest); 13] = [
             |m| m.version = 99,
             |m| m.start_mean.truncate(3),
             |m| m.clips[0].id = "../a".into(),
@@ -463,6 +473,7 @@ mod tests {
             |m| m.clips[0].phones[0].phone = "AH0".into(),
             |m| m.clips[0].phones[0].start = -1.0,
             |m| m.clips[0].video_frames = 10,
+            |m| m.clips[0].audio_frames = usize::MAX,
         ];
         for (i, damage) in damages.iter().enumerate() {
             let mut manifest = manifest();
