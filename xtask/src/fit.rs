@@ -15,12 +15,7 @@ use lipstream_media::sound;
 pub(crate) fn run(words: &[String]) -> Result<()> {
     let (folder, split) = match words {
         [folder] => (folder, Split::Val),
-        [folder, split] => match split.as_str() {
-            "train" => (folder, Split::Train),
-            "val" => (folder, Split::Val),
-            "test" => (folder, Split::Test),
-            other => bail!("{other} is none of train, val, test"),
-        },
+        [folder, split] => (folder, Split::named(split)?),
         _ => bail!("write FOLDER [SPLIT]"),
     };
     let folder = FeatureFolder::open(&PathBuf::from(folder))?;

@@ -116,7 +116,7 @@ impl AudioHmm {
 
     /// The audio half of the shipped model.
     pub fn shipped() -> Result<Self> {
-        let tensors = Tensors::parse(lipstream::shipped::MODEL, "the shipped model").map_err(Error::other)?;
+        let tensors = Tensors::read_or_shipped(None).map_err(Error::other)?;
         Self::of_any(&FloatModel::of_tensors(&tensors).map_err(Error::other)?)
     }
 

@@ -1,13 +1,12 @@
 //! The floor of what is heard: what a room's hiss adds to the energy and to the mel channels of every window.
-use lipstream_core::FRAME_SAMPLES;
-use lipstream_core::frontend::floor::LEVEL;
+use lipstream_core::frontend::floor::{self, LEVEL};
 
 use super::fft::FFT_POINTS;
 use super::mel::{Filterbank, N_MEL};
 use super::preemphasis::COEFFICIENT;
 
 /// What is added to the energy of a window.
-pub const ENERGY: f64 = (LEVEL * LEVEL * FRAME_SAMPLES as u64) as f64;
+pub const ENERGY: f64 = floor::ENERGY as f64;
 
 /// What is added to each channel of `mel`: the mean magnitudes of white noise in a window weighed by `window`. The magnitude of a complex
 /// Gaussian is √(π/4) of the root of its power in the mean.
