@@ -81,7 +81,7 @@ fn frame_rate(word: &str) -> Result<f64, String> {
 }
 
 /// What reads how open the mouth is: from the model's own mouth, or the shipped one where these are its tables.
-fn opening(model: Option<&Path>, engine: &Engine) -> Result<Option<OpeningReader>> {
+pub(super) fn opening(model: Option<&Path>, engine: &Engine) -> Result<Option<OpeningReader>> {
     let own = model.map(OpeningReader::of_file).transpose()?.flatten();
     let is_shipped = || engine.model_id().is_some() && engine.model_id() == Engine::shipped().model_id();
     Ok(match own {

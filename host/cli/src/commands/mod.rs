@@ -23,6 +23,7 @@ mod prepare;
 mod prompts;
 mod record;
 mod render;
+mod servo;
 mod sources;
 mod streams;
 mod train;
@@ -55,6 +56,7 @@ enum Command {
     Prompts(prompts::Args),
     Record(record::Args),
     Render(render::Args),
+    Servo(servo::Args),
     Train(Box<train::Train>),
     View(view::Args),
 }
@@ -77,6 +79,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Prompts(args) => prompts::run(args),
         Command::Record(args) => record::run(args),
         Command::Render(args) => render::run(args),
+        Command::Servo(args) => servo::run(args),
         Command::Train(args) => train::run(*args),
         Command::View(args) => view::run(args),
     };

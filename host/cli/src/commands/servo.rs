@@ -1,0 +1,350 @@
+//! `lipstream servo`: pulses for hobby servos, by the code that runs on a microcontroller ([`lipstream_core::servo`]).
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail};
+use lipstream::engine::{Engine, Kind, RunSettings};
+use lipstream::opening::OpeningReader;
+use lipstream::parameters::{self, ParameterError};
+use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, Servos, output};
+use lipstream_live::address::Address;
+use lipstream_live::recording::Recording;
+use lipstream_media::files;
+
+use super::convert::{anew, told};
+use super::cues;
+use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
+
+mod calibration;
+
+/// One hop.
+const HOP: Duration = Duration::from_millis(10);
+/// Characters of a bar.
+const BAR: usize = 12;
+
+/// Move hobby servos by speech, or by hand to calibrate them
+///
+/// The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at their centres and go back there at the end.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Speech in a sound file (- is standard input), parameters of `lipstream convert` (.npy without visemes), or a recorded stream (.stream)
+    #[arg(required_unless_present_any = ["by_hand", "write_table"], conflicts_with = "by_hand")]
+    source: Option<PathBuf>,
+    /// Calibration: JSON, or the table that --write-table wrote
+    #[arg(short, long, value_name = "FILE")]
+    calibration: PathBuf,
+    /// Model (.safetensors) whose mouth it is [default: the shipped one]
+    #[arg(short, long)]
+    model: Option<PathBuf>,
+    /// Where pulses go, 100 times a second of the source; - is standard output [default: -, nowhere with --bars or --write-table alone]
+    #[arg(short, long, conflicts_with = "port")]
+    output: Option<PathBuf>,
+    /// Serial port that pulses go to, in real time: /dev/ttyACM0, /dev/ttyACM0@9600
+    #[arg(long)]
+    port: Option<String>,
+    /// CSV lines of microseconds, or the bytes of Pololu's Maestro [default: csv]
+    #[arg(short, long, value_enum, default_value_t = Format::Csv)]
+    format: Format,
+    /// Move one channel (its number in the calibration, from 0) to a pulse in microseconds between its end stops, and leave it there
+    #[arg(long = "move", value_names = ["CHANNEL", "US"], num_args = 2)]
+    by_hand: Option<Vec<f64>>,
+    /// Show every channel between its end stops on standard error, in real time
+    #[arg(long)]
+    bars: bool,
+    /// Write the calibration as the binary table that a microcontroller keeps in flash
+    #[arg(long, value_name = "FILE")]
+    write_table: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Format {
+    /// A line a hop: microseconds, commas between them
+    Csv,
+    /// "Set Target" of the compact protocol, channel by channel
+    Maestro,
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    let moves = args.source.is_some() || args.by_hand.is_some();
+    if !moves && (args.output.is_some() || args.port.is_some() || args.bars) {
+        bail!("nothing moves the servos: name a source, or give --move CHANNEL US");
+    }
+    if moves && args.write_table.as_deref().is_some_and(is_standard) {
+        bail!("--write-table - takes standard output for itself: leave the source out, or name a file");
+    }
+    let calibration = calibration::read(&args.calibration)?;
+    if let Some(path) = &args.write_table {
+        let table = calibration.to_bytes();
+        write(path, |file| Ok(file.write_all(&table)?))?;
+        say(path, &format!("{} bytes", table.len()));
+    }
+    if !moves {
+        return Ok(());
+    }
+    let standard = PathBuf::from("-");
+    let path = match (&args.output, &args.port) {
+        (Some(path), _) => path,
+        (None, Some(words)) => {
+            let Ok(Address::Serial { port, baud }) = words.parse::<Address>() else {
+                bail!("--port {words}: no serial port; name one such as /dev/ttyACM0 or /dev/ttyACM0@9600");
+            };
+            let mut line = serial2::SerialPort::open(&port, baud)
+                .with_context(|| format!("cannot open {}", port.display()))?;
+            return drive(&args, &calibration, &mut line)
+                .with_context(|| format!("servos at {}", port.display()));
+        }
+        (None, None) if args.bars => return drive(&args, &calibration, &mut io::sink()),
+        (None, None) => &standard,
+    };
+    write(path, |file| drive(&args, &calibration, file))
+}
+
+fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<()> {
+    let mut out = Out {
+        calibration,
+        to,
+        format: args.format,
+        bars: args.bars,
+        next: (args.bars || args.port.is_some()).then(Instant::now),
+    };
+    let done = match (&args.by_hand, &args.source) {
+        (Some(words), _) => by_hand(words, calibration, &mut out),
+        (None, Some(source)) => speak(args, source, calibration, &mut out),
+        (None, None) => Ok(()),
+    };
+    if args.bars {
+        eprintln!();
+    }
+    done
+}
+
+/// Where pulses go, a hop at a time.
+struct Out<'a> {
+    calibration: &'a Calibration,
+    to: &'a mut dyn Write,
+    format: Format,
+    bars: bool,
+    /// When the next hop is due; None where nobody waits for it.
+    next: Option<Instant>,
+}
+
+impl Out<'_> {
+    fn hop(&mut self, pulses: &[(u8, Pulse)]) -> Result<()> {
+        match self.format {
+            Format::Csv => {
+                let mut line = String::new();
+                output::csv(pulses.iter().map(|(_, pulse)| *pulse), &mut line)?;
+                self.to.write_all(line.as_bytes())?;
+            }
+            Format::Maestro => {
+                for (channel, pulse) in pulses {
+                    self.to.write_all(&output::maestro(*channel, *pulse))?;
+                }
+            }
+        }
+        if self.bars {
+            self.show(pulses);
+        }
+        if let Some(next) = &mut self.next {
+            self.to.flush()?;
+            *next += HOP;
+            std::thread::sleep(next.saturating_duration_since(Instant::now()));
+        }
+        Ok(())
+    }
+
+    /// A line that the next one is written over.
+    fn show(&self, pulses: &[(u8, Pulse)]) {
+        let channels = std::iter::zip(self.calibration.channels(), pulses);
+        let bars = channels.map(|(channel, (_, pulse))| {
+            let (way, all) = (pulse - channel.lowest, channel.highest - channel.lowest);
+            let full = BAR * usize::from(way) / usize::from(all);
+            let role = calibration::role_name(channel.role);
+            format!("{role} [{:<BAR$}] {:4} µs", "#".repeat(full), pulse / 4)
+        });
+        eprint!("\r{}", bars.collect::<Vec<_>>().join("  "));
+    }
+}
+
+/// One channel to a pulse, the others at their centres.
+fn by_hand(words: &[f64], calibration: &Calibration, out: &mut Out) -> Result<()> {
+    let [number, us] = words else {
+        bail!("--move takes a channel and a pulse in µs")
+    };
+    let channels = calibration.channels();
+    let index = (0..channels.len()).find(|k| *k as f64 == *number);
+    let Some(index) = index else {
+        bail!(
+            "--move {number}: the calibration has channels 0 to {}",
+            channels.len() - 1
+        );
+    };
+    let channel = &channels[index];
+    let [lowest, highest] = [channel.lowest, channel.highest].map(|stop| f64::from(stop) / 4.0);
+    if !(lowest..=highest).contains(us) {
+        bail!("--move {number} {us}: the end stops of channel {number} are {lowest} and {highest} µs");
+    }
+    let target = (us * 4.0).round() as Pulse;
+    let mut axis = Axis::at(channel.centre);
+    let mut pulses: Vec<(u8, Pulse)> = channels.iter().map(|c| (c.output, c.centre)).collect();
+    out.hop(&pulses)?;
+    while axis.pulse() != target {
+        axis.step(channel, target);
+        pulses[index].1 = axis.pulse();
+        out.hop(&pulses)?;
+    }
+    Ok(())
+}
+
+/// The servos follow a source, and rest when it has ended.
+fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -> Result<()> {
+    let engine = Engine::open_or_shipped(args.model.as_deref(), Kind::Fixed, false)?;
+    let reader = cues::opening(args.model.as_deref(), &engine)?;
+    let reader = reader.context(
+        "the model has no mouth that gap and width could be read from: name its .safetensors, not its tables",
+    )?;
+    let mut follow = Follow {
+        servos: Servos::new(calibration),
+        reader,
+        width: engine.n_parameters(),
+        out,
+        frames: 0,
+    };
+    let source_name = name(source);
+    match ending(source).as_str() {
+        "npy" => {
+            if calibration
+                .channels()
+                .iter()
+                .any(|c| c.viseme_weights.iter().any(|w| *w != 0))
+            {
+                eprintln!("warning: {source_name} holds no visemes: what they would move stays");
+            }
+            let rows = parameters::read(source)?;
+            for row in rows.outer_iter() {
+                follow.frame(&row.to_vec(), &[]).context(source_name.clone())?;
+            }
+        }
+        "csv" => read_csv(source, &mut follow)?,
+        "stream" => {
+            let mut recording = Recording::open(source)?;
+            let (has, model) = (recording.hello().model, engine.model_id());
+            if model != Some(has) {
+                bail!("{source_name} was made by another model: name it (--model)");
+            }
+            let played = recording.play(|parameters, visemes| follow.frame(parameters, visemes))?;
+            let anew = anew(&played);
+            if played.between > 0 || !anew.is_empty() {
+                eprintln!("{source_name}: {}{anew}", told(&played));
+            }
+        }
+        _ => {
+            let mut sound = open_sound(source)?;
+            let session = engine.session(&RunSettings::default())?;
+            hear(session, &[], &mut sound, |frame| {
+                follow.frame(frame.parameters, frame.visemes)
+            })?;
+        }
+    }
+    if follow.frames == 0 {
+        bail!("{source_name}: {}", ParameterError::NoFrame);
+    }
+    follow.rest(calibration)
+}
+
+/// Servos on the heels of a mouth.
+struct Follow<'a, 'o> {
+    servos: Servos,
+    reader: OpeningReader,
+    /// Parameters of a frame.
+    width: usize,
+    out: &'a mut Out<'o>,
+    frames: usize,
+}
+
+impl Follow<'_, '_> {
+    fn frame(&mut self, parameters: &[f32], visemes: &[f32]) -> Result<()> {
+        if parameters.len() != self.width {
+            bail!(ParameterError::Width {
+                width: parameters.len(),
+                wanted: self.width
+            });
+        }
+        let opening = self.reader.read(parameters);
+        // `as` saturates; the reader keeps both in range.
+        let q15 = |share: f32| (share * f32::from(i16::MAX)).round() as i16;
+        let weights: Vec<u8> = visemes.iter().map(|w| (w * 255.0).round() as u8).collect();
+        self.servos.step(&Mouth {
+            gap: q15(opening.gap),
+            width: q15(opening.width),
+            viseme_weights: &weights,
+        });
+        self.frames += 1;
+        self.hop()
+    }
+
+    fn hop(&mut self) -> Result<()> {
+        let pulses: Vec<(u8, Pulse)> = self.servos.pulses().collect();
+        self.out.hop(&pulses)
+    }
+
+    /// Back to the centres.
+    fn rest(mut self, calibration: &Calibration) -> Result<()> {
+        let centres: Vec<Pulse> = calibration.channels().iter().map(|c| c.centre).collect();
+        while !self
+            .servos
+            .pulses()
+            .map(|(_, pulse)| pulse)
+            .eq(centres.iter().copied())
+        {
+            self.servos.rest();
+            self.hop()?;
+        }
+        Ok(())
+    }
+}
+
+/// The rows that `lipstream convert` writes: time, parameters, viseme weights.
+fn read_csv(path: &Path, follow: &mut Follow) -> Result<()> {
+    let bytes = files::read_bytes(path)?;
+    let text = std::str::from_utf8(&bytes).with_context(|| format!("{} is no text", path.display()))?;
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next().unwrap_or_default().split(',').collect();
+    let n = header
+        .iter()
+        .skip(1)
+        .zip(1..)
+        .take_while(|(name, d)| **name == format!("p{d}"))
+        .count();
+    if header[0] != "time_s" || n == 0 || header[n + 1..] != lipstream::phones::VISEMES {
+        bail!(
+            "{} has not the columns that `lipstream convert` writes: time_s, p1 … , visemes",
+            path.display()
+        );
+    }
+    for (line, row) in (2..).zip(lines) {
+        let place = || format!("{}, line {line}", path.display());
+        let numbers: Vec<f32> = row
+            .split(',')
+            .map(|word| match word.parse::<f32>() {
+                Ok(number) if number.is_finite() => Ok(number),
+                _ => bail!("{word:?} is no number"),
+            })
+            .collect::<Result<_>>()
+            .with_context(place)?;
+        // Models without visemes leave their columns out of the rows.
+        if ![header.len(), n + 1].contains(&numbers.len()) {
+            bail!(
+                "{}: {} numbers, the header has {}",
+                place(),
+                numbers.len(),
+                header.len()
+            );
+        }
+        follow
+            .frame(&numbers[1..=n], &numbers[n + 1..])
+            .with_context(place)?;
+    }
+    Ok(())
+}
