@@ -254,6 +254,27 @@ fn what_would_hurt_a_servo_is_refused() {
     assert!(line.contains("no serial port"), "{line}");
 }
 
+#[test]
+fn a_recorded_stream_moves_servos_with_its_own_model_only() {
+    let folder = common::folder("servo-stream");
+    let json = data("servos.json");
+    let model = |name: &str| common::root().join("models").join(name).display().to_string();
+    succeed(
+        &folder,
+        &["record", "--wav", &data("hello.wav"), "-o", "a.stream"],
+    );
+    succeed(&folder, &["convert", "a.stream", "-o", "a.csv"]);
+    let want = succeed(&folder, &["servo", "a.csv", "-c", &json]);
+    assert!(want.lines().count() >= 420);
+    let of_stream = ["servo", "a.stream", "-c", &json];
+    assert_eq!(succeed(&folder, &of_stream), want);
+    let own = model("grid-s1.safetensors");
+    assert_eq!(succeed(&folder, &[&of_stream[..], &["-m", &own]].concat()), want);
+    let other = model("grid-s1-timit.safetensors");
+    let line = refuse(&folder, &[&of_stream[..], &["-m", &other]].concat());
+    assert!(line.contains("a.stream was made by another model"), "{line}");
+}
+
 /// What a board reads at the other end of a serial port, in real time.
 #[cfg(target_os = "linux")]
 #[test]
