@@ -31,6 +31,7 @@ pub mod em;
 pub mod error;
 pub mod evaluate;
 pub mod features;
+pub mod folds;
 mod hash;
 pub mod mge;
 pub mod mos;

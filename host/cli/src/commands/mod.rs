@@ -13,10 +13,12 @@ mod cues;
 mod demo;
 mod dialog;
 mod evaluate;
+mod evaluate_held_out;
 mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;
+mod folds;
 mod manual;
 mod mos;
 mod prepare;
@@ -49,6 +51,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Folds(folds::Args),
     Man(manual::Man),
     Mos(mos::Args),
     Prepare(prepare::Args),
@@ -71,6 +74,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Folds(args) => folds::run(args),
         Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
         Command::Prepare(args) => prepare::run(args),
