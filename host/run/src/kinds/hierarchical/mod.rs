@@ -16,6 +16,7 @@ mod compose;
 pub mod linear;
 pub mod mesh;
 pub mod speech;
+pub mod yiq;
 
 pub use appearance::Appearance;
 pub use clusters::{Cluster, SpeechMap};

@@ -259,3 +259,31 @@ fn pictures_become_frames_at_their_middles() {
         Array2::<f32>::zeros((3, 2))
     );
 }
+
+#[test]
+fn a_face_is_drawn_in_the_colour_of_the_nearest_picture_and_moves() {
+    use crate::render::Scene as _;
+    use crate::render::hierarchical::HierarchicalScene;
+    let mut model = model();
+    let half = model.colours.chroma.ncols() / 2;
+    // The second training picture is reddish all over.
+    model.colours.chroma.slice_mut(s![1, ..half]).fill(40.0);
+    let mut scene = HierarchicalScene::new(&model, Some(2)).unwrap();
+    let (width, height) = scene.size();
+    assert_eq!((width, height), (64, 80));
+    let pixel =
+        |rgb: &[u8], x: usize, y: usize| -> [u8; 3] { std::array::from_fn(|c| rgb[3 * (y * width + x) + c]) };
+    let still = scene.draw(array![0.0, 0.0, 0.0, 0.0].view()).unwrap();
+    assert_eq!(still.len(), width * height * 3);
+    let [r, g, b] = pixel(&still, 30, 10);
+    assert!(r == g && g == b && (90..=125).contains(&r), "{r} {g} {b}");
+    assert_eq!(pixel(&still, 63, 79), [16; 3]);
+    // A dropped corner covers what lay below the face, and a lit face is the second picture.
+    let moved = scene.draw(array![8.0, 8.0, 0.0, 0.0].view()).unwrap();
+    assert_eq!(pixel(&still, 58, 72), [16; 3]);
+    assert!(pixel(&moved, 58, 72) != [16; 3]);
+    let [r, g, b] = pixel(&moved, 30, 10);
+    assert!(r > g && g > b, "{r} {g} {b}");
+    assert!(HierarchicalScene::new(&model, Some(0)).is_err());
+    assert!(HierarchicalScene::new(&model, Some(9999)).is_err());
+}
