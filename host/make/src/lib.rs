@@ -32,6 +32,7 @@ pub mod error;
 pub mod evaluate;
 pub mod features;
 mod hash;
+pub mod hierarchical;
 pub mod mge;
 pub mod mos;
 pub mod noise;
