@@ -33,6 +33,7 @@ pub mod evaluate;
 pub mod features;
 pub mod folds;
 mod hash;
+pub mod hierarchical;
 pub mod mge;
 pub mod mos;
 pub mod noise;
