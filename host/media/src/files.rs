@@ -2,6 +2,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use crate::Cause;
 
@@ -71,6 +72,42 @@ pub(crate) fn aside_error(folder: &Path) -> impl FnOnce(io::Error) -> FileError 
         folder: folder.to_owned(),
         source,
     }
+}
+
+/// Files that are being written aside.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Notes a file that is being written aside for as long as this lives.
+struct Unfinished(PathBuf);
+
+impl Unfinished {
+    fn note(path: &Path) -> Self {
+        UNFINISHED
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(path.to_owned());
+        Self(path.to_owned())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        UNFINISHED
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|path| *path != self.0);
+    }
+}
+
+/// Removes every file that [`write_whole`] is just writing, for a program that ends before they are whole. No more of them come into being afterwards: whoever begins one
+/// waits for the end.
+pub fn abandon_unfinished() {
+    let unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+    for path in unfinished.iter() {
+        // One that has got its name meanwhile is whole.
+        let _ = std::fs::remove_file(path);
+    }
+    std::mem::forget(unfinished);
 }
 
 /// Links that are followed before they are taken for a ring; Linux stops at as many.
@@ -173,6 +210,7 @@ pub fn write_whole<E: Into<Cause>>(
     // As every program that makes files asks; the umask takes off what it takes off.
     aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let aside = aside.tempfile_in(&folder).map_err(aside_error(&folder))?;
+    let _unfinished = Unfinished::note(aside.path());
     let mut buffered = BufWriter::new(aside);
     write(&mut buffered).map_err(|e| FileError::write(path, e))?;
     let aside = buffered
