@@ -407,3 +407,44 @@ fn an_interrupt_leaves_nothing() {
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(tree(&folder.join("out")), [""; 0]);
 }
+
+/// A sound without a text is named, and costs the others nothing; a text that is not said is aligned with a warning and its score.
+#[test]
+fn wrong_texts_are_noticed() {
+    let folder = common::folder("cues-texts");
+    std::fs::create_dir(folder.join("in")).unwrap();
+    for name in ["right", "wrong", "without"] {
+        std::fs::copy(hello(), folder.join(format!("in/{name}.wav"))).unwrap();
+    }
+    let right = "Hello. I read your sound, and I move this mouth with it, live.";
+    std::fs::write(folder.join("in/right.txt"), right).unwrap();
+    let wrong = "Seven green bottles were standing on the wall and twenty two more unrelated words come here to be aligned with nothing at all";
+    std::fs::write(folder.join("in/wrong.txt"), wrong).unwrap();
+    let done = run(&folder, &["align", "in", "-o", "out", "--format", "json"]);
+    let said = common::program::text(&done.stderr);
+    assert_eq!(done.status.code(), Some(1), "{said}");
+    assert_eq!(tree(&folder.join("out")), ["right.json", "wrong.json"], "{said}");
+    assert!(
+        said.contains("skipped: in/without.wav has no text beside it"),
+        "{said}"
+    );
+    assert!(said.contains("1 of 3 clips could not be aligned"), "{said}");
+    let warned: Vec<&str> = said
+        .lines()
+        .filter(|line| line.starts_with("warning: "))
+        .collect();
+    assert!(
+        warned.len() == 1
+            && warned[0].contains("in/wrong.wav do not fit what is heard (")
+            && warned[0].contains("nats a frame worse"),
+        "{said}"
+    );
+    // Alone it is refused, and whoever says that the text is right is not told otherwise.
+    let error = refuse(&folder, &["align", "in/without.wav", "-o", "x.json"]);
+    assert!(error.contains("in/without.wav has no text"), "{error}");
+    let alone = run(&folder, &["align", "in/right.wav", "-o", "x.json"]);
+    assert_eq!(
+        common::program::text(&alone.stderr),
+        "aligned 1 clips into x.json\n"
+    );
+}

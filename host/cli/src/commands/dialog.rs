@@ -47,8 +47,8 @@ impl Dialog {
         let heard = Recogniser::shipped()?.recognise(samples)?;
         match Fit::of(&aligned, &heard) {
             Some(fit) if !fit.says() => Ok(Err(format!(
-                "the words of {} do not fit what is heard ({:.1} nats a frame worse, the worst word {:.1}): the sound alone decides",
-                self.name, fit.all, fit.worst
+                "the words of {} do not fit what is heard ({fit}): the sound alone decides",
+                self.name
             ))),
             _ => Ok(Ok(weights(&aligned, time::frame_count(samples.len())))),
         }
