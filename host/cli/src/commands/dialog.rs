@@ -20,7 +20,7 @@ pub(super) struct Dialog {
 impl Dialog {
     /// Reads a text file.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = labels::decode(&files::read_bytes(path)?)
+        let text = labels::decode(&files::read_text(path)?)
             .with_context(|| format!("cannot read the text {}", path.display()))?;
         let pronouncer = Pronouncer::new(None)?;
         let spoken = transcript::words(&text);

@@ -8,6 +8,7 @@ use crate::progress::Terminal;
 use lipstream::hmm::system::Speech;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
+use lipstream::mouth::MouthSpace;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
     self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
@@ -127,7 +128,12 @@ pub(crate) fn run(args: Args) -> Result<()> {
     folder.of_eigenmouths()?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
     let settings = settings(&args, full)?;
-    let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();
+    let (model, trained) = args
+        .model
+        .as_deref()
+        .map(|path| read(path, &folder))
+        .transpose()?
+        .unzip();
     let trained = trained.flatten();
     let chosen = args
         .systems
@@ -153,7 +159,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             systems::open_or_train(&chosen, &store, &folder, &heard, &progress)?
         }
     };
-    let also = args.also.iter().map(|given| named(given));
+    let also = args.also.iter().map(|given| named(given, &folder));
     let also = also.collect::<Result<Vec<_>>>()?;
     let mut candidates = vec![models::mean(folder.manifest.visual_size)];
     candidates.extend(models::ridge(&folder, full)?);
@@ -211,12 +217,29 @@ pub(crate) fn run(args: Args) -> Result<()> {
 }
 
 /// A model trained by likelihood; or one trained on its error, after the parent that it came from.
-fn read(path: &Path) -> Result<(Model, Option<RecurrentModel>)> {
-    if RecurrentModel::is_kind(&Tensors::read(path)?) {
+fn read(path: &Path, folder: &FeatureFolder) -> Result<(Model, Option<RecurrentModel>)> {
+    let tensors = Tensors::read(path)?;
+    has_mouth(&tensors, path, folder)?;
+    if RecurrentModel::is_kind(&tensors) {
         let trained = RecurrentModel::read(path)?;
         return Ok((trained.parent.clone(), Some(trained)));
     }
     Ok((Model::read(path)?, None))
+}
+
+/// Refuses a model that draws another mouth than the folder's, where it draws one.
+fn has_mouth(tensors: &Tensors, path: &Path, folder: &FeatureFolder) -> Result<()> {
+    if !tensors.has("mouth.mean") {
+        return Ok(());
+    }
+    let space = MouthSpace::load(tensors)?;
+    // Another number of parameters has words of its own.
+    if space.size() == folder.manifest.visual_size {
+        folder
+            .has_mouth(&space)
+            .with_context(|| path.display().to_string())?;
+    }
+    Ok(())
 }
 
 fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
@@ -238,9 +261,13 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
 }
 
 /// NAME=MODEL.safetensors.
-fn named(given: &str) -> Result<(String, Model)> {
+fn named(given: &str, folder: &FeatureFolder) -> Result<(String, Model)> {
     match given.split_once('=') {
-        Some((name, path)) if !name.is_empty() => Ok((name.to_owned(), Model::read(Path::new(path))?)),
+        Some((name, path)) if !name.is_empty() => {
+            let path = Path::new(path);
+            has_mouth(&Tensors::read(path)?, path, folder)?;
+            Ok((name.to_owned(), Model::read(path)?))
+        }
         _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
     }
 }
