@@ -101,3 +101,17 @@ fn every_name_that_is_looked_up_is_there() {
         assert_eq!(id.parse(), Ok(k));
     }
 }
+
+/// What the device says of how far the mouth is open is what the table here does.
+#[test]
+fn the_devices_openness_is_the_tables() {
+    let rows = BlendSet::Arkit.rows();
+    for ((row, device), viseme) in rows
+        .iter()
+        .zip(lipstream_core::frame::VISEME_OPENNESS)
+        .zip(VISEMES)
+    {
+        let open = effect(row, &OPENS) / OPEN;
+        assert_eq!((255.0 * open).round() as u8, device, "{viseme}");
+    }
+}
