@@ -38,3 +38,69 @@ fn python_plots_a_conversion() {
     let bars = picture.matches("<rect ").count();
     assert!((20..200).contains(&bars), "{bars} bars");
 }
+
+/// The Blender script, read by Python itself, with a module in Blender's place that notes what it is told: Blender is too large to be installed for a test.
+#[test]
+fn blender_gets_a_keyframe_for_each_weight() {
+    let folder = common::folder("examples-blender");
+    let hello = common::root().join("data/hello.wav");
+    let words = [
+        "cues",
+        hello.to_str().unwrap(),
+        "--set",
+        "vrm",
+        "--rate",
+        "25",
+        "-o",
+        "speech.csv",
+    ];
+    succeed(&folder, &words);
+    let stand_in = "
+from types import SimpleNamespace as Of
+
+class Key:
+    def __init__(self, name):
+        self.name = name
+    def keyframe_insert(self, path, frame):
+        print(self.name, path, f'{frame:.3f}', self.value)
+
+keys = {name: Key(name) for name in ('aa', 'ou')}
+face = Of(name='Face', data=Of(shape_keys=Of(key_blocks=keys)))
+scene = Of(frame_start=1, render=Of(fps=50, fps_base=2.0))
+context = Of(object=face, scene=scene)
+";
+    std::fs::write(folder.join("bpy.py"), stand_in).unwrap();
+    let run = |words: &[&str]| {
+        let script = common::root().join("docs/examples/blender_shape_keys.py");
+        let mut python = Command::new("python3");
+        python.current_dir(&folder).env("PYTHONPATH", &folder).arg(script);
+        python
+            .args(words)
+            .output()
+            .expect("python3, which tests/run installs")
+    };
+    let output = run(&["--", "speech.csv"]);
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let table = std::fs::read_to_string(folder.join("speech.csv")).unwrap();
+    let rows: Vec<Vec<&str>> = table
+        .lines()
+        .skip(1)
+        .map(|row| row.split(',').collect())
+        .collect();
+    // The scene has 25 pictures a second and begins at 1: aa is the second column, ou the fourth.
+    let mut want = String::new();
+    for (k, row) in rows.iter().enumerate() {
+        for (name, column) in [("aa", 1), ("ou", 3)] {
+            let weight: f64 = row[column].parse().unwrap();
+            want += &format!("{name} value {:.3} {weight:?}\n", 1.0 + k as f64);
+        }
+    }
+    want += "without a shape key: ih, ee, oh\n";
+    assert!(rows.len() == 106 && said == want, "{said}");
+    assert!(!run(&["speech.csv"]).status.success());
+}
