@@ -591,3 +591,37 @@ fn by_command() {
         assert!(!text.contains('\n') && text.len() > 20, "{args:?}: {text}");
     }
 }
+
+/// A model that draws another mouth is refused with the score: as many numbers say nothing of what they mean.
+#[test]
+fn a_model_of_other_eigenmouths_is_refused() {
+    let root = tempfile::tempdir().unwrap();
+    let folder = talker(root.path());
+    let sizes = synthetic::Sizes {
+        parameters: folder.manifest.visual_size,
+        ..synthetic::Sizes::small()
+    };
+    let mut model = synthetic::model(&sizes, 2.0, &mut Pcg64::seed_from_u64(3));
+    let space = drawn::space(folder.manifest.visual_size);
+    let mut other = space.clone();
+    for (k, row) in space.basis.outer_iter().rev().enumerate() {
+        other.basis.row_mut(k).assign(&row);
+    }
+    for (name, mouth, is_own) in [("own", &space, true), ("other", &other, false)] {
+        model.mouth = Some(mouth.clone());
+        let path = root.path().join(format!("{name}.safetensors"));
+        model.write(&path).unwrap();
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .arg("evaluate")
+            .arg(root.path())
+            .arg("-m")
+            .arg(&path)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.success(), is_own, "{said}");
+        let refused = said.contains("other.safetensors: the model's eigenmouths are not those of");
+        assert_eq!(refused, !is_own, "{said}");
+        assert_eq!(said.contains("0.00 of 1)"), !is_own, "{said}");
+    }
+}

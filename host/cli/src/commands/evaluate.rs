@@ -8,6 +8,7 @@ use crate::progress::Terminal;
 use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
+use lipstream::mouth::MouthSpace;
 use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
@@ -148,7 +149,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         audio: &args.audio,
     };
     let opened = Opened::of(&folder, args.systems.as_deref(), &from, &progress)?;
-    let also = args.also.iter().map(|given| named(given));
+    let also = args.also.iter().map(|given| named(given, &folder));
     let also = also.collect::<Result<Vec<_>>>()?;
     let mut candidates = opened.candidates(&folder, args.beam, full)?;
     for (name, model) in &also {
@@ -218,7 +219,7 @@ impl Opened {
         from: &Sources,
         progress: &dyn Progress,
     ) -> Result<Self> {
-        let (model, trained) = from.model.map(read).transpose()?.unzip();
+        let (model, trained) = from.model.map(|path| read(path, folder)).transpose()?.unzip();
         let chosen = systems.map(systems::parse).transpose()?.unwrap_or_default();
         let stored = match from.store {
             _ if chosen.is_empty() => Vec::new(),
@@ -265,12 +266,29 @@ impl Opened {
 }
 
 /// A model trained by likelihood; or one trained on its error, after the parent that it came from.
-fn read(path: &Path) -> Result<(Model, Option<RecurrentModel>)> {
-    if RecurrentModel::is_kind(&Tensors::read(path)?) {
+fn read(path: &Path, folder: &FeatureFolder) -> Result<(Model, Option<RecurrentModel>)> {
+    let tensors = Tensors::read(path)?;
+    has_mouth(&tensors, path, folder)?;
+    if RecurrentModel::is_kind(&tensors) {
         let trained = RecurrentModel::read(path)?;
         return Ok((trained.parent.clone(), Some(trained)));
     }
     Ok((Model::read(path)?, None))
+}
+
+/// Refuses a model that draws another mouth than the folder's, where it draws one.
+fn has_mouth(tensors: &Tensors, path: &Path, folder: &FeatureFolder) -> Result<()> {
+    if !tensors.has("mouth.mean") {
+        return Ok(());
+    }
+    let space = MouthSpace::load(tensors)?;
+    // Another number of parameters has words of its own.
+    if space.size() == folder.manifest.visual_size {
+        folder
+            .has_mouth(&space)
+            .with_context(|| path.display().to_string())?;
+    }
+    Ok(())
 }
 
 fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
@@ -292,9 +310,13 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
 }
 
 /// NAME=MODEL.safetensors.
-fn named(given: &str) -> Result<(String, Model)> {
+fn named(given: &str, folder: &FeatureFolder) -> Result<(String, Model)> {
     match given.split_once('=') {
-        Some((name, path)) if !name.is_empty() => Ok((name.to_owned(), Model::read(Path::new(path))?)),
+        Some((name, path)) if !name.is_empty() => {
+            let path = Path::new(path);
+            has_mouth(&Tensors::read(path)?, path, folder)?;
+            Ok((name.to_owned(), Model::read(path)?))
+        }
         _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
     }
 }

@@ -1,15 +1,17 @@
 //! The command line: one file per command.
 use std::ffi::OsString;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 mod advice;
 mod align;
+mod batch;
 mod check;
 mod choices;
 mod convert;
 mod cues;
+mod cues_events;
 mod demo;
 mod dialog;
 mod evaluate;
@@ -64,7 +66,12 @@ enum Command {
 
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
-    let done = match Cli::parse_from(args).command {
+    let command = Cli::parse_from(args).command;
+    // These two end in their own way when somebody presses Ctrl-C: what they have recorded stays.
+    if !matches!(command, Command::Record(_) | Command::View(_)) {
+        end_without_leftovers()?;
+    }
+    let done = match command {
         Command::Align(args) => align::run(args),
         Command::Check(args) => check::run(args),
         Command::Completions(args) => manual::completions(args, Cli::command()),
@@ -85,6 +92,19 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::View(args) => view::run(args),
     };
     done.map_err(advice::with_flags)
+}
+
+/// Whoever ends the program before its time finds no file that is not whole, nor what would have become one.
+fn end_without_leftovers() -> Result<()> {
+    let listening = ctrlc::set_handler(|| {
+        lipstream_media::files::abandon_unfinished();
+        std::process::exit(130);
+    });
+    match listening {
+        // A program that runs several commands has done so already.
+        Err(ctrlc::Error::MultipleHandlers) => Ok(()),
+        listening => listening.context("cannot listen for Ctrl-C"),
+    }
 }
 
 #[cfg(test)]
