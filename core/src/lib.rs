@@ -48,6 +48,7 @@ pub mod hmm;
 pub mod kinds;
 pub mod logmath;
 pub mod model;
+pub mod servo;
 pub mod settings;
 pub mod stream;
 pub mod tables;

@@ -42,6 +42,7 @@ pub mod hmm;
 pub mod htk;
 pub mod kinds;
 pub mod link;
+pub mod linkage;
 pub mod lips;
 pub mod mouth;
 pub mod npy;
