@@ -185,7 +185,7 @@ pub fn fold_path(out: &Path, kind: Kind, fold: usize) -> PathBuf {
 }
 
 impl Folds {
-    /// Reads what [`write`] has written.
+    /// Reads what [`write()`] has written.
     pub fn open(out: &Path) -> Result<Self> {
         let path = out.join("folds.json");
         let bytes = files::read_bytes(&path).with_context(|| {

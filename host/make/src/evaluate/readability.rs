@@ -1,7 +1,7 @@
 //! Lip-readability: how many words a lip reader who learnt from true mouths reads off a system's mouth.
 //!
 //! The reader is linear discriminant analysis with the shrinkage of Ledoit and Wolf (J. Multivariate Analysis 88, 2004), fitted on the true mouths of the training clips: a word is its first
-//! [`PARAMETERS`] mouth parameters at [`POINTS`] points from a little before its label to a little after it. It is told where a word lies and between which words
+//! sixteen mouth parameters at twelve points from a little before its label to a little after it. It is told where a word lies and between which words
 //! to choose: where all clips have the same number of words, as in GRID, those that stand in the same place of a sentence, else all words with examples enough.
 use std::collections::{BTreeMap, HashMap};
 
