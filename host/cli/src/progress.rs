@@ -8,11 +8,24 @@ use lipstream::progress::Progress;
 
 /// Standard error, with a bar below the lines while steps are counted; the bar is hidden where it is no terminal.
 #[derive(Default)]
-pub(crate) struct Terminal(Mutex<Option<ProgressBar>>);
+pub(crate) struct Terminal {
+    bar: Mutex<Option<ProgressBar>>,
+    hidden: bool,
+}
+
+impl Terminal {
+    /// Without a bar unless it is `shown`; lines are said either way.
+    pub(crate) fn shown(shown: bool) -> Self {
+        Self {
+            bar: Mutex::default(),
+            hidden: !shown,
+        }
+    }
+}
 
 impl Progress for Terminal {
     fn say(&self, what: &str) {
-        match self.0.lock().as_deref() {
+        match self.bar.lock().as_deref() {
             // The bar makes way for the line.
             Ok(Some(bar)) => bar.suspend(|| eprintln!("{what}")),
             _ => eprintln!("{what}"),
@@ -20,8 +33,8 @@ impl Progress for Terminal {
     }
 
     fn step(&self, what: &str, done: usize, all: usize) {
-        let Ok(mut place) = self.0.lock() else { return };
-        if done == 0 {
+        let Ok(mut place) = self.bar.lock() else { return };
+        if done == 0 && !self.hidden {
             *place = Some(bar(what, all));
         }
         let Some(bar) = place.as_ref() else { return };

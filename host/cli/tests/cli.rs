@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 19] = [
     "align",
     "check",
     "completions",
@@ -17,6 +17,7 @@ const COMMANDS: [&str; 18] = [
     "evaluate",
     "export",
     "features",
+    "folds",
     "man",
     "mos",
     "prepare",
@@ -521,129 +522,6 @@ fn a_dash_is_standard_input_and_output() {
     }
     let error = refuse(&folder, &["convert", &hello, "-m", &model, "-o", "out.txt"]);
     assert_eq!(error, "out.txt: write .npy, .csv or .json");
-}
-
-/// Rhubarb Lip Sync's typical calls, with its program's name replaced.
-#[test]
-fn a_rhubarb_user_changes_one_word() {
-    let folder = common::folder("cli-rhubarb");
-    std::fs::copy(hello(), folder.join("my-recording.wav")).unwrap();
-    std::fs::write(
-        folder.join("dialog.txt"),
-        "Hello. I read your sound, and I move this mouth with it, live.",
-    )
-    .unwrap();
-    // The simplest one writes TSV, whatever the file is called.
-    succeed(&folder, &["cues", "-o", "output.txt", "my-recording.wav"]);
-    let tsv = std::fs::read_to_string(folder.join("output.txt")).unwrap();
-    assert!(
-        tsv.starts_with("0.00\tX\n") && tsv.ends_with("4.22\tX\n"),
-        "{tsv}"
-    );
-    assert_eq!(succeed(&folder, &["cues", "my-recording.wav"]), tsv);
-    let json = succeed(
-        &folder,
-        &["cues", "-f", "json", "-r", "phonetic", "-q", "my-recording.wav"],
-    );
-    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
-    assert_eq!(
-        json["metadata"]["soundFile"],
-        path(&std::path::absolute(folder.join("my-recording.wav")).unwrap())
-    );
-    assert_eq!(json["metadata"]["duration"], 4.22);
-    let six = succeed(
-        &folder,
-        &[
-            "cues",
-            "--exportFormat",
-            "tsv",
-            "--extendedShapes",
-            "",
-            "my-recording.wav",
-        ],
-    );
-    assert!(
-        six.starts_with("0.00\tA\n") && !six.contains(['G', 'H', 'X']),
-        "{six}"
-    );
-    let dat = [
-        "cues",
-        "-f",
-        "dat",
-        "--datFrameRate",
-        "30",
-        "--datUsePrestonBlair",
-        "-o",
-        "out.dat",
-        "my-recording.wav",
-    ];
-    succeed(&folder, &dat);
-    let dat = std::fs::read_to_string(folder.join("out.dat")).unwrap();
-    assert!(
-        dat.starts_with("MohoSwitch1\n1 rest\n") && dat.ends_with("127 rest\n"),
-        "{dat}"
-    );
-
-    // With the text the times are those of its phones; with another one the sound alone decides, and that is said.
-    let run = |words: &[&str]| {
-        let output = run(&folder, words);
-        assert!(
-            output.status.success(),
-            "{}",
-            String::from_utf8_lossy(&output.stderr)
-        );
-        (
-            common::program::text(&output.stdout),
-            common::program::text(&output.stderr),
-        )
-    };
-    let (said, _) = run(&["cues", "-q", "-d", "dialog.txt", "my-recording.wav"]);
-    std::fs::write(
-        folder.join("other.txt"),
-        "Seven green bottles were standing there",
-    )
-    .unwrap();
-    let (other, warned) = run(&["cues", "-q", "-d", "other.txt", "my-recording.wav"]);
-    assert!(warned.contains("other.txt do not fit what is heard"), "{warned}");
-    assert_eq!(other, tsv);
-    assert!(!said.is_empty());
-
-    // For programs: a JSON object a line.
-    let lines = |text: &str| -> Vec<serde_json::Value> {
-        text.lines().map(|l| serde_json::from_str(l).unwrap()).collect()
-    };
-    let (_, events) = run(&["cues", "--machineReadable", "my-recording.wav"]);
-    let kinds: Vec<String> = lines(&events)
-        .iter()
-        .map(|e| e["type"].as_str().unwrap().to_owned())
-        .collect();
-    assert_eq!(kinds, ["start", "progress", "progress", "success"]);
-    let failed = common::program::run(&folder, &["cues", "--machineReadable", "missing.wav"]);
-    let events = lines(&common::program::text(&failed.stderr));
-    assert_eq!(failed.status.code(), Some(1));
-    assert_eq!(events.last().unwrap()["type"], "failure");
-    assert!(
-        events.last().unwrap()["reason"]
-            .as_str()
-            .unwrap()
-            .contains("missing.wav")
-    );
-
-    for words in [
-        &["cues", "--extendedShapes", "GQ", "my-recording.wav"][..],
-        &["cues", "-f", "dat", "--datFrameRate", "12", "my-recording.wav"],
-        &["cues", "-r", "magic", "my-recording.wav"],
-    ] {
-        assert_eq!(
-            common::program::run(&folder, words).status.code(),
-            Some(2),
-            "{words:?}"
-        );
-    }
-    let error = refuse(&folder, &["cues", "--datUsePrestonBlair", "my-recording.wav"]);
-    assert!(error.contains("are for --format dat"), "{error}");
-    let error = refuse(&folder, &["cues", "-o", "x.foo", "my-recording.wav"]);
-    assert!(error.starts_with("x.foo: write .tsv"), "{error}");
 }
 
 /// An ending that no format has is no folder's name, and capitals make no difference.

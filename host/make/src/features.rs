@@ -19,12 +19,17 @@ use ndarray::{Array2, Array4};
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Context as _, Error, Result, bail, ensure};
+use lipstream::mouth::MouthSpace;
 use lipstream::npy::{read_array, read_npy};
 use lipstream::phones::Phone;
+use lipstream::tensors::Tensors;
 use lipstream_media::files;
 
 /// Version of the folder: raised whenever its layout or the numbers of the front end change; another version is refused in words.
 pub const MANIFEST_VERSION: u32 = 2;
+
+/// Eigenmouths that are less alike than this are others; the same ones differ by rounding at most.
+const SAME_MOUTH: f32 = 0.99;
 
 /// Most frames of a clip, 46 hours of sound: what a manifest promises is not believed beyond.
 pub const MOST_FRAMES: usize = 1 << 24;
@@ -245,6 +250,31 @@ impl FeatureFolder {
     /// File of the eigenmouth space, which an audio-only folder lacks.
     pub fn mouth_path(&self) -> PathBuf {
         self.root.join("mouth.safetensors")
+    }
+
+    /// Refuses a mouth whose parameters mean something else than this folder's: their numbers could be compared and would say nothing. A folder without eigenmouths refuses none.
+    ///
+    /// # Errors
+    ///
+    /// How alike the two are, or that the folder's eigenmouths cannot be read.
+    pub fn has_mouth(&self, space: &MouthSpace) -> Result<()> {
+        let path = self.mouth_path();
+        if !path.is_file() {
+            return Ok(());
+        }
+        let own = Tensors::read(&path)
+            .and_then(|tensors| MouthSpace::load(&tensors))
+            .map_err(Error::other)?;
+        let likeness = space.likeness(&own);
+        let is_same = likeness > SAME_MOUTH;
+        ensure!(
+            is_same,
+            Choice,
+            "the model's eigenmouths are not those of {} (likeness {likeness:.2} of 1): its parameters mean another mouth's; train it on this folder, or evaluate it on the one that it \
+             was trained on",
+            self.root.display()
+        );
+        Ok(())
     }
 
     /// Audio observations, `[frames, 39]`.

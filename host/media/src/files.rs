@@ -1,7 +1,8 @@
 //! Files that are either whole or absent: written aside, then renamed.
 use std::fs::{File, OpenOptions};
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufWriter, Read as _, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use crate::Cause;
 
@@ -71,6 +72,42 @@ pub(crate) fn aside_error(folder: &Path) -> impl FnOnce(io::Error) -> FileError 
         folder: folder.to_owned(),
         source,
     }
+}
+
+/// Files that are being written aside.
+static UNFINISHED: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+/// Notes a file that is being written aside for as long as this lives.
+struct Unfinished(PathBuf);
+
+impl Unfinished {
+    fn note(path: &Path) -> Self {
+        UNFINISHED
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(path.to_owned());
+        Self(path.to_owned())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        UNFINISHED
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .retain(|path| *path != self.0);
+    }
+}
+
+/// Removes every file that [`write_whole`] is just writing, for a program that ends before they are whole. No more of them come into being afterwards: whoever begins one
+/// waits for the end.
+pub fn abandon_unfinished() {
+    let unfinished = UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner);
+    for path in unfinished.iter() {
+        // One that has got its name meanwhile is whole.
+        let _ = std::fs::remove_file(path);
+    }
+    std::mem::forget(unfinished);
 }
 
 /// Links that are followed before they are taken for a ring; Linux stops at as many.
@@ -173,6 +210,7 @@ pub fn write_whole<E: Into<Cause>>(
     // As every program that makes files asks; the umask takes off what it takes off.
     aside.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let aside = aside.tempfile_in(&folder).map_err(aside_error(&folder))?;
+    let _unfinished = Unfinished::note(aside.path());
     let mut buffered = BufWriter::new(aside);
     write(&mut buffered).map_err(|e| FileError::write(path, e))?;
     let aside = buffered
@@ -204,13 +242,50 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
     write_whole(path, |file| file.write_all(bytes))
 }
 
+/// Most bytes that [`read_bytes`] takes from what is no ordinary file: a device or a pipe says nowhere how much is to come, and may never end.
+pub const MOST_OF_A_STREAM: u64 = 256 << 20;
+/// Most bytes of a text, labels or a dictionary: the words of weeks.
+pub const MOST_OF_A_TEXT: u64 = 64 << 20;
+
 /// Reads a whole file; the error names it.
 ///
 /// # Errors
 ///
-/// [`FileError::Read`].
+/// [`FileError::Read`], also of a device or a pipe with more than [`MOST_OF_A_STREAM`].
 pub fn read_bytes(path: &Path) -> Result<Vec<u8>, FileError> {
-    std::fs::read(path).map_err(|source| FileError::Read {
+    read_up_to(path, None)
+}
+
+/// [`read_bytes`] of a text, of at most [`MOST_OF_A_TEXT`].
+///
+/// # Errors
+///
+/// [`FileError::Read`].
+pub fn read_text(path: &Path) -> Result<Vec<u8>, FileError> {
+    read_up_to(path, Some(MOST_OF_A_TEXT))
+}
+
+/// A whole file of at most `most` bytes.
+fn read_up_to(path: &Path, most: Option<u64>) -> Result<Vec<u8>, FileError> {
+    let read = || {
+        let mut file = File::open(path)?;
+        let about = file.metadata()?;
+        let most = match about.is_file() {
+            true => most,
+            false => Some(most.unwrap_or(MOST_OF_A_STREAM)),
+        };
+        let mut bytes = Vec::new();
+        match most {
+            None => file.read_to_end(&mut bytes)?,
+            // One more tells whether that was all.
+            Some(most) => file.take(most + 1).read_to_end(&mut bytes)?,
+        };
+        match most.filter(|most| bytes.len() as u64 > *most) {
+            Some(most) => Err(io::Error::other(format!("more than {} MiB", most >> 20))),
+            None => Ok(bytes),
+        }
+    };
+    read().map_err(|source| FileError::Read {
         path: path.to_owned(),
         source,
     })
@@ -262,6 +337,26 @@ mod tests {
             assert_eq!(mode(&at("new")), wanted);
             assert_eq!(std::fs::read(at("new")).unwrap(), b"z");
         }
+    }
+
+    #[test]
+    fn what_never_ends_is_refused() {
+        let zero = Path::new("/dev/zero");
+        for (read, said) in [
+            (read_bytes(zero), "more than 256 MiB"),
+            (read_text(zero), "more than 64 MiB"),
+        ] {
+            let error = read.unwrap_err();
+            assert_eq!(error.to_string(), "cannot read /dev/zero");
+            assert_eq!(std::error::Error::source(&error).unwrap().to_string(), said);
+        }
+        assert_eq!(read_bytes(Path::new("/dev/null")).unwrap(), b"");
+        let folder = tempfile::tempdir().unwrap();
+        let huge = folder.path().join("huge");
+        File::create(&huge).unwrap().set_len(MOST_OF_A_TEXT + 1).unwrap();
+        read_text(&huge).unwrap_err();
+        File::create(&huge).unwrap().set_len(1000).unwrap();
+        assert_eq!(read_text(&huge).unwrap(), [0; 1000]);
     }
 
     #[test]

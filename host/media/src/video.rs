@@ -202,8 +202,7 @@ fn through_ffmpeg<T>(
     let mut child = program("ffmpeg")
         .args(["-nostdin", "-v", "error"])
         .args(times)
-        .arg("-i")
-        .arg(as_input(path))
+        .args(named_alone(path))
         .args(["-map", "0:v:0", "-an", "-sn", "-vf", &filter])
         .args([
             "-sws_flags",
@@ -260,9 +259,12 @@ fn rate_hz(path: &Path, rate: &str) -> Result<f32> {
 
 /// The sound of a video, or of any sound file, as a WAV file in memory: 16 bit, its own rate and channels.
 pub fn decode_sound(path: &Path) -> Result<Vec<u8>> {
+    if !path.is_file() {
+        return Err(VideoError::NoFile(path.to_owned()));
+    }
     let out = program("ffmpeg")
-        .args(["-nostdin", "-v", "error", "-i"])
-        .arg(as_input(path))
+        .args(["-nostdin", "-v", "error"])
+        .args(named_alone(path))
         .args([
             "-map",
             "0:a:0",
@@ -377,7 +379,7 @@ fn probe(path: &Path) -> Result<ProbeStream> {
             "-show_entries",
         ])
         .arg("stream=r_frame_rate,avg_frame_rate,width,height,sample_aspect_ratio")
-        .arg(as_input(path))
+        .args(named_alone(path))
         .output()
         .map_err(|e| not_started("ffprobe", e))?;
     if !out.status.success() {
@@ -510,11 +512,23 @@ fn program(name: &str) -> Command {
     command
 }
 
-/// A file name that ffmpeg takes neither for an option nor for a protocol.
-fn as_input(path: &Path) -> std::ffi::OsString {
+/// Demuxers of files that hold what they play. Playlists and scripts (hls, dash, concat, …) are left out: they read other files than the one that was named, or
+/// play on without end.
+const DEMUXERS: &str = "aac,ac3,aiff,amr,ape,asf,au,av1,avi,caf,dv,eac3,flac,flv,gif,gxf,h261,h263,h264,hevc,ivf,m4v,matroska,webm,mjpeg,mov,mp4,m4a,3gp,3g2,mj2,mp3,mpeg,mpegts,\
+mpegvideo,mxf,nut,obu,ogg,rawvideo,rm,tta,vc1,voc,w64,wav,wtv,wv,yuv4mpegpipe";
+
+/// The file at `path` as ffmpeg's input, by a name that is neither an option nor a protocol, and nothing else that it speaks of.
+fn named_alone(path: &Path) -> [std::ffi::OsString; 6] {
     let mut name = std::ffi::OsString::from("file:");
     name.push(path);
-    name
+    [
+        "-protocol_whitelist".into(),
+        "file,pipe".into(),
+        "-format_whitelist".into(),
+        DEMUXERS.into(),
+        "-i".into(),
+        name,
+    ]
 }
 
 fn not_started(program: &'static str, source: io::Error) -> VideoError {

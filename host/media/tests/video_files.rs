@@ -168,3 +168,46 @@ fn any_rate_is_kept_and_a_changing_one_made_even() {
         frames.rate_hz
     );
 }
+
+/// A playlist names other files, and a live one goes on without end: neither is a film that was named, whatever it is called.
+#[test]
+fn playlists_and_pipes_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    made(folder.path(), "film.ts", "64x64", "25", &["-c:v", "mpeg2video"]);
+    assert_eq!(video::decode(&folder.path().join("film.ts")).unwrap().width, 64);
+    for (name, text) in [
+        (
+            "list.m3u8",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfilm.ts\n",
+        ),
+        (
+            "list.mp4",
+            "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nfilm.ts\n#EXT-X-ENDLIST\n",
+        ),
+        ("list.ffconcat", "ffconcat version 1.0\nfile film.ts\n"),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        let error = video::decode(&path).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(name) && error.contains("cannot"), "{error}");
+        let error = video::decode_sound(&path).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(name), "{error}");
+    }
+    #[cfg(unix)]
+    {
+        let pipe = folder.path().join("pipe.mp4");
+        assert!(
+            std::process::Command::new("mkfifo")
+                .arg(&pipe)
+                .status()
+                .unwrap()
+                .success()
+        );
+        for said in [
+            video::decode(&pipe).map(|_| ()),
+            video::decode_sound(&pipe).map(|_| ()),
+        ] {
+            assert!(said.unwrap_err().to_string().contains("pipe.mp4"));
+        }
+    }
+}

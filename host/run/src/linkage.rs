@@ -38,7 +38,7 @@ impl JawLinkage {
     ///
     /// # Errors
     ///
-    /// [`Error::Choice`](crate::Error::Choice): a length is not above 0, or the jaw cannot open so far by this rod.
+    /// [`Error::Choice`]: a length is not above 0, or the jaw cannot open so far by this rod.
     pub fn widest_angle_degrees(&self) -> Result<f64> {
         let lengths = [self.lips_mm, self.lever_mm, self.horn_mm, self.widest_gap_mm];
         ensure!(

@@ -23,6 +23,30 @@ pub struct MouthSpace {
 const BLOCK: usize = 512;
 
 impl MouthSpace {
+    /// How far parameters of this mouth mean the same in another one: the cosine between each eigenmouth and the other's of the same number, on average by variance. 1 where they are the
+    /// same, about 0 for another person's, and 0 where their pictures or numbers differ in size.
+    pub fn likeness(&self, other: &Self) -> f32 {
+        if self.basis.dim() != other.basis.dim() || (self.width, self.height) != (other.width, other.height) {
+            return 0.0;
+        }
+        let length = |row: ArrayView1<f32>| row.dot(&row).sqrt();
+        let (mut sum, mut all) = (0.0, 0.0);
+        for ((a, b), deviation) in self
+            .basis
+            .outer_iter()
+            .zip(other.basis.outer_iter())
+            .zip(&self.deviation)
+        {
+            let lengths = length(a) * length(b);
+            let variance = deviation * deviation;
+            all += variance;
+            if lengths > 0.0 {
+                sum += variance * a.dot(&b) / lengths;
+            }
+        }
+        if all > 0.0 { sum / all } else { 0.0 }
+    }
+
     /// Weights g = Ãᵀ(I − Ī) of one image (eq. 13).
     pub fn project(&self, image: ArrayView1<f32>) -> Array1<f32> {
         self.basis.dot(&(&image - &self.mean))
@@ -139,6 +163,21 @@ impl MouthSpace {
 mod tests {
     use super::*;
     use crate::render::drawn;
+
+    #[test]
+    fn likeness_tells_whose_parameters_they_are() {
+        let space = drawn::space(4);
+        assert!((space.likeness(&space) - 1.0).abs() < 1e-5);
+        let mut turned = space.clone();
+        turned.basis.mapv_inplace(|v| -v);
+        assert!((space.likeness(&turned) + 1.0).abs() < 1e-5);
+        let mut swapped = space.clone();
+        for (k, row) in space.basis.outer_iter().rev().enumerate() {
+            swapped.basis.row_mut(k).assign(&row);
+        }
+        assert!(space.likeness(&swapped).abs() < 0.01);
+        assert_eq!(space.likeness(&drawn::space(3)), 0.0);
+    }
 
     #[test]
     fn both_ways_to_an_image_agree() {

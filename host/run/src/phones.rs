@@ -10,9 +10,7 @@ pub struct Viseme(pub u8);
 
 /// Names of the visemes (X&L table 1): silence, four classes of vowels by lip rounding, and the places of
 /// articulation of the consonants.
-pub const VISEMES: [&str; 13] = [
-    "sip", "lr1", "lr2", "lr3", "lr4", "as", "af", "al", "pa", "bi", "de", "ld", "ve",
-];
+pub const VISEMES: [&str; 13] = lipstream_core::frame::VISEME_NAMES;
 
 /// Every phone with the viseme that it looks like (X&L table 1).
 pub const PHONES: [(&str, Viseme); 47] = [

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use lipstream::time;
+use lipstream_make::align::fit::Fit;
 use lipstream_make::align::judge::{self, Judged, Judgement};
 use lipstream_make::align::recognise::RecognitionSettings;
 use lipstream_make::align::score::{Errors, Summary, table};
@@ -87,6 +88,8 @@ struct Ears {
     aligner: Aligner,
     /// Where phones are found without a text.
     recogniser: Option<Recogniser>,
+    /// Hears whether a text is said. The margins by which that is judged are the shipped model's, so others have none.
+    judge: Option<Recogniser>,
     /// Phones by clip, in place of the clips' own.
     against: Option<HashMap<String, Vec<PhoneLabel>>>,
 }
@@ -98,6 +101,10 @@ impl Ears {
             None => AudioHmm::shipped()?,
         };
         Ok(Self {
+            judge: match args.model.is_none() && !args.recognise {
+                true => Some(Recogniser::shipped()?),
+                false => None,
+            },
             recogniser: args
                 .recognise
                 .then(|| Recogniser::new(hmm.clone(), RecognitionSettings::default())),
@@ -144,13 +151,25 @@ struct Scores {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let ears = Ears::new(&args)?;
-    let mut jobs = jobs(&args)?;
+    let found = jobs(&args)?;
+    let (mut jobs, mut failed, alone) = (Vec::new(), 0, found.len() == 1);
+    for job in found {
+        match job {
+            Ok(job) => jobs.push(job),
+            Err(error) if alone => return Err(error),
+            Err(error) => {
+                failed += 1;
+                eprintln!("skipped: {error:#}");
+            }
+        }
+    }
     if !args.speakers.is_empty() {
         jobs.retain(|j| args.speakers.contains(&j.clip.speaker));
     }
     if jobs.is_empty() {
         bail!("no clips to align");
     }
+    let all = jobs.len() + failed;
     let format = match (args.format.map(Format::from), &args.output) {
         (Some(format), _) => format,
         (None, Some(out)) => extension(out)
@@ -160,10 +179,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     let to_file = match &args.output {
         Some(out) if is_standard(out) => {
-            if jobs.len() > 1 {
+            if all > 1 {
                 bail!(
                     "standard output takes one alignment, but there are {} clips: give a folder",
-                    jobs.len()
+                    all
                 );
             }
             if format == Format::Phn {
@@ -175,11 +194,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
         }
         Some(out) => {
             let known = extension(out).and_then(|e| Format::of_extension(&e));
-            if known.is_some() && jobs.len() > 1 {
+            if known.is_some() && all > 1 {
                 bail!(
                     "{} is one file, but there are {} clips: give a folder and --format",
                     out.display(),
-                    jobs.len()
+                    all
                 );
             }
             // A slash behind the name, or a folder that is there, says that one is meant.
@@ -201,32 +220,32 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 .with_context(|| format!("cannot align {}", name(&job.sound)))
         })
         .collect();
-    let (mut compared, mut failed) = (Compared::default(), 0);
+    let mut compared = Compared::default();
     let mut last = None;
     for result in results {
         match result {
             Ok(of) => compared.merge(of),
             Err(error) => {
                 failed += 1;
-                if jobs.len() > 1 {
+                if all > 1 {
                     eprintln!("skipped: {error:#}");
                 }
                 last = Some(error);
             }
         }
     }
-    if let (Some(error), 1) = (last, jobs.len()) {
+    if let (Some(error), 1) = (last, all) {
         return Err(error);
     }
     if args.score {
-        report(&args, jobs.len() - failed, &compared)?;
+        report(&args, all - failed, &compared)?;
     }
     if let Some(out) = args.output.as_ref().filter(|out| !is_standard(out)) {
         let found = if args.recognise { "recognised" } else { "aligned" };
-        eprintln!("{found} {} clips into {}", jobs.len() - failed, out.display());
+        eprintln!("{found} {} clips into {}", all - failed, out.display());
     }
     if failed > 0 {
-        bail!("{failed} of {} clips could not be aligned", jobs.len());
+        bail!("{failed} of {} clips could not be aligned", all);
     }
     Ok(())
 }
@@ -275,6 +294,15 @@ fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Re
         true => None,
         false => Some(ears.aligner.words(&samples, &clip.words)?),
     };
+    if let (Some(judge), Some(said)) = (&ears.judge, &from_words)
+        && let Some(fit) = Fit::of(said, &judge.recognise(&samples)?)
+        && !fit.says()
+    {
+        eprintln!(
+            "warning: the words of {} do not fit what is heard ({fit})",
+            name(&job.sound)
+        );
+    }
     let from_phones = match from_words.is_none() && heard.is_none() {
         // Labels without words: their phones are the text.
         true => Some(ears.aligner.phones(&samples, &clip.phones)?),
@@ -343,7 +371,8 @@ fn extension(path: &Path) -> Option<String> {
     Some(path.extension()?.to_str()?.to_lowercase())
 }
 
-fn jobs(args: &Args) -> Result<Vec<Job>> {
+/// What is to be aligned, of each sound; the error of one that cannot be names it.
+fn jobs(args: &Args) -> Result<Vec<Result<Job>>> {
     if let [folder] = args.inputs.as_slice()
         && folder.is_dir()
     {
@@ -354,15 +383,15 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
             );
         }
         if folder.join("manifest.json").is_file() {
-            return from_features(args, folder);
+            return Ok(from_features(args, folder)?.into_iter().map(Ok).collect());
         }
         let pronouncer = Pronouncer::new(args.dictionary.as_deref())?;
         let found = discover::discover(folder, None, &discover::Options::default())?;
-        return found
+        return Ok(found
             .clips
             .iter()
             .map(|c| job(args, (&c.id, &c.speaker), c.sound_path(), &c.labels, &pronouncer))
-            .collect();
+            .collect());
     }
     let pronouncer = Pronouncer::new(args.dictionary.as_deref())?;
     if args.transcript.is_some() && args.inputs.len() > 1 {
@@ -371,7 +400,8 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
             args.inputs.len()
         );
     }
-    args.inputs
+    let jobs = args
+        .inputs
         .iter()
         .map(|sound| {
             if sound.is_dir() {
@@ -398,7 +428,8 @@ fn jobs(args: &Args) -> Result<Vec<Job>> {
             };
             job(args, (&id, ""), sound, &texts, &pronouncer)
         })
-        .collect()
+        .collect();
+    Ok(jobs)
 }
 
 /// Label files of the same name.

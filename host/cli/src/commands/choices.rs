@@ -60,6 +60,14 @@ choice! {
         Oculus,
         /// The 52 blend shapes of ARKit
         Arkit,
+        /// The 22 viseme ids of Azure's speech service
+        Azure,
+        /// The visemes of Amazon Polly's American English
+        Polly,
+        /// The five vowels of VRM avatars
+        Vrm,
+        /// Action units of the lower face
+        Facs,
     }
 }
 

@@ -1,29 +1,35 @@
 //! `lipstream convert`: sound in, mouth parameters out.
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::out::Format;
+use lipstream::progress::Progress as _;
 use lipstream::session::Frame;
 use lipstream::time::{frame_count, seconds};
 use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_live::recording::{Played, Recording};
 
+use super::batch::{self, Work};
 use super::choices;
 use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
+
+use crate::progress::Terminal;
 
 /// Convert speech to mouth parameters
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others; - is standard input. Or a stream that `lipstream record` made (.stream)
-    wav: PathBuf,
+    /// Sound files with speech (WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others), folders of them, patterns like "*.wav"; - is standard input. Or a stream that
+    /// `lipstream record` made (.stream)
+    #[arg(required = true, value_name = "SOUND")]
+    inputs: Vec<PathBuf>,
     /// Tables that `lipstream export` wrote, or a model (.safetensors) [default: the shipped one]
     #[arg(short, long)]
     model: Option<PathBuf>,
-    /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights); - is standard output
+    /// Where to: .npy (parameters), .csv or .json (parameters and viseme weights); for several sounds a folder; - is standard output
     #[arg(short, long)]
     output: PathBuf,
-    /// Format [default: by the output's ending, csv on standard output]
+    /// Format [default: by the output's ending, csv on standard output and for several sounds]
     #[arg(long, value_enum)]
     format: Option<choices::Numbers>,
     /// Arithmetic
@@ -48,22 +54,67 @@ pub(crate) struct Args {
     /// Show every movement at once, the quiver of a mouth at rest too (models trained on the error of their mouth)
     #[arg(long)]
     no_settling: bool,
+    /// Sounds that are worked on at once [default: as many as there are processors]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Say nothing unless something is wrong
+    #[arg(short, long)]
+    quiet: bool,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    let format = match &args.format {
-        Some(format) => (*format).into(),
-        None if is_standard(&args.output) => Format::Csv,
-        None => match Format::of_ending(&ending(&args.output)) {
-            Some(format) => format,
-            None => bail!("{}: write .npy, .csv or .json", args.output.display()),
-        },
-    };
-    if ending(&args.wav) == "stream" {
-        return of_stream(&args, format);
+    let of_many = args.format.map_or(Format::Csv, Into::into);
+    let is_format = |ending: &str| Format::of_ending(ending).is_some();
+    match batch::plan(&args.inputs, &args.output, of_many.ending(), is_format)? {
+        Work::One(sound) => {
+            let format = match &args.format {
+                Some(format) => (*format).into(),
+                None if is_standard(&args.output) => Format::Csv,
+                None => match Format::of_ending(&ending(&args.output)) {
+                    Some(format) => format,
+                    None => bail!("{}: write .npy, .csv or .json", args.output.display()),
+                },
+            };
+            let what = match ending(&sound) == "stream" {
+                true => of_stream(&args, &sound, format)?,
+                false => of_sound(&args, &engine(&args)?, &sound, &args.output, format)?,
+            };
+            if !args.quiet {
+                say(&args.output, &what);
+            }
+        }
+        Work::Many(jobs) => {
+            let engine = engine(&args)?;
+            let progress = Terminal::shown(!args.quiet);
+            let complain = |why: &str| progress.say(&format!("lipstream: {why}"));
+            batch::work(
+                &jobs,
+                args.threads.map(usize::from),
+                &progress,
+                |_| {},
+                complain,
+                |job| of_sound(&args, &engine, &job.input, &job.output, of_many).map(drop),
+            )?;
+            if !args.quiet {
+                println!("{}: {} files", args.output.display(), jobs.len());
+            }
+        }
     }
-    let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), args.feedback.is_some())?;
-    let mut sound = open_sound(&args.wav)?;
+    Ok(())
+}
+
+fn engine(args: &Args) -> Result<Engine> {
+    let visual = args.feedback.is_some();
+    Ok(Engine::open_or_shipped(
+        args.model.as_deref(),
+        args.engine.into(),
+        visual,
+    )?)
+}
+
+/// Writes the numbers of one sound; gives what is to be said of them.
+fn of_sound(args: &Args, engine: &Engine, sound: &Path, output: &Path, format: Format) -> Result<String> {
+    let mut heard = open_sound(sound)?;
     let with = RunSettings {
         lag: args.lag,
         beam_bits: args.beam,
@@ -76,37 +127,33 @@ pub(crate) fn run(args: Args) -> Result<()> {
     // A sound that is too short is refused before anything is written.
     let mut samples = Vec::new();
     while samples.len() < FRAME_SAMPLES
-        && let Some(piece) = sound.piece()?
+        && let Some(piece) = heard.piece()?
     {
         samples.extend(piece);
     }
     if samples.len() < FRAME_SAMPLES {
         bail!(
             "{} is shorter than one window of {} ms",
-            name(&args.wav),
+            name(sound),
             1000 * FRAME_SAMPLES / SAMPLE_RATE_HZ as usize
         );
     }
     let mut count = 0;
-    write(&args.output, |file| {
+    write(output, |file| {
         let mut numbers = format.write(file, engine.n_parameters())?;
-        count = hear(session, &samples, &mut sound, |frame| Ok(numbers.frame(frame)?))?;
+        count = hear(session, &samples, &mut heard, |frame| Ok(numbers.frame(frame)?))?;
         Ok(numbers.finish()?)
     })?;
-    say(
-        &args.output,
-        &format!(
-            "{} frames of {} parameters, {:.2} s",
-            frame_count(count),
-            engine.n_parameters(),
-            seconds(count)
-        ),
-    );
-    Ok(())
+    Ok(format!(
+        "{} frames of {} parameters, {:.2} s",
+        frame_count(count),
+        engine.n_parameters(),
+        seconds(count)
+    ))
 }
 
 /// The numbers of a recorded stream, 100 frames a second from its first frame on.
-fn of_stream(args: &Args, format: Format) -> Result<()> {
+fn of_stream(args: &Args, stream: &Path, format: Format) -> Result<String> {
     let settings = [
         args.lag.is_some(),
         args.beam.is_some(),
@@ -117,10 +164,10 @@ fn of_stream(args: &Args, format: Format) -> Result<()> {
     if args.model.is_some() || settings.contains(&true) || args.no_settling {
         bail!(
             "{} is converted already: leave out everything but --output and --format",
-            args.wav.display()
+            stream.display()
         );
     }
-    let mut recording = Recording::open(&args.wav)?;
+    let mut recording = Recording::open(stream)?;
     let width = recording.hello().scales.len();
     let mut played = Played::default();
     write(&args.output, |file| {
@@ -136,15 +183,15 @@ fn of_stream(args: &Args, format: Format) -> Result<()> {
             Ok::<_, anyhow::Error>(())
         })?;
         if played.frames == 0 {
-            bail!("{} holds no frame", args.wav.display());
+            bail!("{} holds no frame", stream.display());
         }
         Ok(numbers.finish()?)
     })?;
-    say(
-        &args.output,
-        &format!("{} of {width} parameters{}", told(&played), anew(&played)),
-    );
-    Ok(())
+    Ok(format!(
+        "{} of {width} parameters{}",
+        told(&played),
+        anew(&played)
+    ))
 }
 
 /// How many frames were played, and how many of them were not in the file.

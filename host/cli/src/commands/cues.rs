@@ -2,32 +2,39 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use lipstream::cues::{self, BlendSet, Cue, CueError, Format, Shape, Shapes, Style};
+use lipstream::cues::{self, BlendSet, Cue, CueError, Format, Rate, Shape, Shapes, Style, Table};
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::opening::OpeningReader;
+use lipstream::progress::Progress as _;
+use lipstream::session::Frame;
 use lipstream::time;
 use serde_json::json;
 
+use super::batch::{self, Work};
 use super::choices;
+use super::cues_events::{Events, Level};
 use super::dialog::Dialog;
-use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
+use super::streams::{ending, hear_telling, is_standard, name, open_sound, say, write};
+use crate::progress::Terminal;
 
 /// Write mouth shapes over time for animation programs
 ///
-/// Takes the options of Rhubarb Lip Sync, whose formats it writes.
+/// Takes the options of Rhubarb Lip Sync, whose formats it writes; with --set, weights of other programs' shapes at every moment. Of several sounds, a folder or a pattern the
+/// files go into the folder -o.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Sound file with speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others; - is standard input
-    wav: PathBuf,
+    /// Sound files with speech (WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others), folders of them, patterns like "*.wav"; - is standard input
+    #[arg(required = true, value_name = "SOUND")]
+    inputs: Vec<PathBuf>,
     /// Tables that `lipstream export` wrote, or a model (.safetensors) [default: the shipped one]
     #[arg(short, long)]
     model: Option<PathBuf>,
-    /// Where to: .tsv .xml .json .dat (as Rhubarb Lip Sync writes them), .txt (TSV) or .csv (blend shapes, see --set); - is
+    /// Where to: .tsv .xml .json .dat (as Rhubarb Lip Sync writes them), .txt (TSV), .vtt (WebVTT) or .csv (see --set); for several sounds a folder; - is
     /// standard output
     #[arg(short, long, default_value = "-")]
     output: PathBuf,
-    /// Format [default: by the output's ending, tsv on standard output]
-    #[arg(short, long, visible_alias = "exportFormat", ignore_case = true, value_parser = ["tsv", "xml", "json", "dat", "csv"])]
+    /// Format [default: by the output's ending, tsv on standard output and for several sounds, with --set csv]
+    #[arg(short, long, visible_alias = "exportFormat", ignore_case = true, value_parser = ["tsv", "xml", "json", "dat", "vtt", "csv"])]
     format: Option<String>,
     /// Text that is said, a plain text file: its words decide the shapes where they fit what is heard
     #[arg(short, long = "dialogFile", visible_alias = "dialog", value_name = "FILE")]
@@ -50,9 +57,24 @@ pub(crate) struct Args {
     /// What is going on, on standard error, a JSON object a line
     #[arg(long = "machineReadable", visible_alias = "machine-readable")]
     machine_readable: bool,
-    /// Columns of a .csv
-    #[arg(long, value_enum, default_value_t = choices::BlendSet::Oculus)]
-    set: choices::BlendSet,
+    /// The least that is said on standard error
+    #[arg(long = "consoleLevel", visible_alias = "console-level", ignore_case = true, value_enum, value_name = "LEVEL", default_value_t = Level::Warning)]
+    console_level: Level,
+    /// A file for what is going on
+    #[arg(long = "logFile", visible_alias = "log-file", value_name = "FILE")]
+    log_file: Option<PathBuf>,
+    /// The least that the log file gets
+    #[arg(long = "logLevel", visible_alias = "log-level", ignore_case = true, value_enum, value_name = "LEVEL", default_value_t = Level::Debug)]
+    log_level: Level,
+    /// Sounds that are worked on at once [default: as many as there are processors]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+    /// Weights of these shapes, moment by moment, as .csv or .json [default of a .csv: oculus]
+    #[arg(long, value_enum)]
+    set: Option<choices::BlendSet>,
+    /// Rows a second of weights, such as 25, 29.97 or 30000/1001 [default: one every 10 ms]
+    #[arg(long, value_name = "RATE")]
+    rate: Option<Rate>,
     /// Arithmetic
     #[arg(long, value_enum, default_value_t = choices::Engine::Fixed)]
     engine: choices::Engine,
@@ -90,155 +112,238 @@ pub(super) fn opening(model: Option<&Path>, engine: &Engine) -> Result<Option<Op
     })
 }
 
+/// What is written, and what it needs: the same for every sound.
+struct Task<'a> {
+    args: &'a Args,
+    engine: Engine,
+    what: What,
+    dialog: Option<Dialog>,
+}
+
+/// What a file holds.
+enum What {
+    Cues(Format, Style),
+    Weights(Table, BlendSet, Option<OpeningReader>),
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
-    let events = Events(args.machine_readable);
-    let file = name(&args.wav);
-    events.say(
+    let log = args.log_file.as_deref();
+    let events = Events::new(args.machine_readable, args.console_level, log, args.log_level)?;
+    let files: Vec<String> = args.inputs.iter().map(|input| name(input)).collect();
+    let files = files.join(", ");
+    events.event(
         "start",
-        "Info",
-        &format!("Input file: {file:?}."),
-        ("file", json!(file)),
+        Level::Info,
+        &format!("Input file: {files:?}."),
+        ("file", json!(files)),
     );
-    let done = make(&args, &events);
+    let done = work(&args, &events);
     match &done {
-        Ok(()) => events.say("success", "Info", "Done.", ("output", json!(args.output))),
-        Err(error) if args.machine_readable => {
+        Ok(()) => events.event("success", Level::Info, "Done.", ("output", json!(args.output))),
+        Err(error) => {
             let why = format!("{error:#}");
-            events.say("failure", "Fatal", &why, ("reason", json!(why)));
-            // The line that people get would be no JSON.
-            std::process::exit(1);
+            events.event("failure", Level::Fatal, &why, ("reason", json!(why)));
+            if args.machine_readable {
+                // The line that people get would be no JSON.
+                std::process::exit(1);
+            }
         }
-        Err(_) => {}
     }
     done
 }
 
-/// What is going on, for programs, if they have asked.
-struct Events(bool);
-
-impl Events {
-    /// A line of Rhubarb's "machine-readable status messages".
-    fn say(&self, kind: &str, level: &str, message: &str, what: (&str, serde_json::Value)) {
-        if self.0 {
-            let log = json!({ "level": level, "message": message });
-            eprintln!("{}", json!({ "type": kind, what.0: what.1, "log": log }));
-        }
-    }
-
-    fn progress(&self, value: f64) {
-        let percent = format!("Progress: {:.0}%", 100.0 * value);
-        self.say("progress", "Trace", &percent, ("value", json!(value)));
-    }
-
-    fn warn(&self, what: &str) {
-        match self.0 {
-            true => self.say("log", "Warning", what, ("text", json!(what))),
-            false => eprintln!("warning: {what}"),
-        }
-    }
-}
-
 /// The ending that stands for the format that is asked for.
-fn format_of(args: &Args) -> String {
+fn format_of(args: &Args, is_folder: bool) -> String {
     match &args.format {
         Some(format) => format.to_lowercase(),
-        None if is_standard(&args.output) => "tsv".to_owned(),
+        None if is_folder || is_standard(&args.output) => match args.set {
+            Some(_) => "csv".to_owned(),
+            None => "tsv".to_owned(),
+        },
         None if ending(&args.output) == "txt" => "tsv".to_owned(),
         None => ending(&args.output),
     }
 }
 
-fn make(args: &Args, events: &Events) -> Result<()> {
-    let ending = format_of(args);
-    let format = Format::ALL.into_iter().find(|f| f.ending() == ending);
-    if format.is_none() && ending != "csv" {
-        bail!("{}: write .tsv, .xml, .json, .dat or .csv", args.output.display());
-    }
-    if format != Some(Format::Dat) && (args.dat_frame_rate.is_some() || args.dat_use_preston_blair) {
-        bail!("--datFrameRate and --datUsePrestonBlair are for --format dat");
-    }
-    let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
-    events.progress(0.0);
-    let what = match format {
-        Some(format) => {
-            let (said, seconds) = shapes(args, &engine, events)?;
-            let said = cues::drawn_with(&said, &args.extended.0);
-            let style = Style {
-                dat_fps: args.dat_frame_rate.unwrap_or(Style::default().dat_fps),
-                preston_blair: args.dat_use_preston_blair,
-                closed: match args.extended.0.contains(&Shape::X) {
-                    true => Shape::X,
-                    false => Shape::A,
+fn work(args: &Args, events: &Events) -> Result<()> {
+    let is_format =
+        |ending: &str| ["csv", "txt"].contains(&ending) || Format::ALL.iter().any(|f| f.ending() == ending);
+    let ending = format_of(args, true);
+    match batch::plan(&args.inputs, &args.output, &ending, is_format)? {
+        Work::One(sound) => {
+            let task = Task::new(args, &format_of(args, false))?;
+            events.progress(0.0);
+            let what = task.make(&sound, &args.output, events, |part| events.progress(part))?;
+            events.progress(1.0);
+            if !args.quiet && !args.machine_readable {
+                say(&args.output, &what);
+            }
+        }
+        Work::Many(_) if args.dialog.is_some() => {
+            bail!("--dialogFile is the text of one sound, and there are several")
+        }
+        Work::Many(jobs) => {
+            let task = Task::new(args, &ending)?;
+            let quiet = args.quiet || args.machine_readable;
+            let progress = Terminal::shown(!quiet);
+            let part = |done: usize| events.progress(done as f64 / jobs.len() as f64);
+            part(0);
+            let complain = |why: &str| match args.machine_readable {
+                true => events.say(Level::Error, why),
+                false => {
+                    events.log(Level::Error, why);
+                    progress.say(&format!("lipstream: {why}"));
+                }
+            };
+            batch::work(
+                &jobs,
+                args.threads.map(usize::from),
+                &progress,
+                part,
+                complain,
+                |job| {
+                    let what = task.make(&job.input, &job.output, events, |_| {})?;
+                    events.say(Level::Info, &format!("{}: {what}", job.output.display()));
+                    Ok(())
                 },
-            };
-            let sound = match is_standard(&args.wav) {
-                true => name(&args.wav),
-                false => std::path::absolute(&args.wav)?.display().to_string(),
-            };
-            let text = cues::write_as(format, &said, &sound, &style);
-            write(&args.output, |file| Ok(file.write_all(text.as_bytes())?))?;
-            format!("{} mouth shapes, {seconds:.2} s", said.len())
+            )?;
+            if !quiet {
+                println!("{}: {} files", args.output.display(), jobs.len());
+            }
         }
-        None if args.dialog.is_some() => {
-            bail!("--dialogFile is for mouth shapes, not for blend shapes (.csv)")
-        }
-        None => blends(args, &engine)?,
-    };
-    events.progress(1.0);
-    if !args.quiet && !args.machine_readable {
-        say(&args.output, &what);
     }
     Ok(())
 }
 
-/// The mouth shapes of the sound, and how long it is.
-fn shapes(args: &Args, engine: &Engine, events: &Events) -> Result<(Vec<Cue>, f64)> {
-    let mut sound = open_sound(&args.wav)?;
-    let mut shapes = Shapes::default();
-    let samples = match &args.dialog {
-        None => {
-            let session = engine.session(&RunSettings::default())?;
-            hear(session, &[], &mut sound, |frame| Ok(shapes.push(frame.visemes)?))?
+impl<'a> Task<'a> {
+    /// `ending` is the format.
+    fn new(args: &'a Args, ending: &str) -> Result<Self> {
+        let format = Format::ALL.into_iter().find(|f| f.ending() == ending);
+        if format != Some(Format::Dat) && (args.dat_frame_rate.is_some() || args.dat_use_preston_blair) {
+            bail!("--datFrameRate and --datUsePrestonBlair are for --format dat");
         }
-        Some(dialog) => {
-            let dialog = Dialog::read(dialog)?;
-            let samples = sound.rest()?.samples;
-            match dialog.visemes(&samples)? {
-                Ok(visemes) => visemes.iter().try_for_each(|row| shapes.push(row))?,
-                Err(why) => {
-                    events.warn(&why);
-                    let heard = engine.convert(&samples, &RunSettings::default())?;
-                    for row in heard.visemes.outer_iter() {
-                        shapes.push(&row.to_vec())?;
-                    }
-                }
+        let table = match (ending, args.set) {
+            ("csv", _) => Some(Table::Csv),
+            ("json", Some(_)) => Some(Table::Json),
+            _ => None,
+        };
+        if table.is_none() && (args.set.is_some() || args.rate.is_some()) {
+            bail!("--set and --rate are for weights: write .csv, or .json with --set");
+        }
+        let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
+        let what = match (table, format) {
+            (Some(table), _) => {
+                let set = args.set.map_or(BlendSet::Oculus, Into::into);
+                What::Weights(table, set, opening(args.model.as_deref(), &engine)?)
             }
-            samples.len()
+            (None, Some(format)) => What::Cues(format, style(args)),
+            (None, None) => bail!(
+                "{}: write .tsv, .xml, .json, .dat, .vtt or .csv",
+                args.output.display()
+            ),
+        };
+        let dialog = args.dialog.as_deref().map(Dialog::read).transpose()?;
+        Ok(Self {
+            args,
+            engine,
+            what,
+            dialog,
+        })
+    }
+
+    /// Writes the file of one sound; gives what is to be said of it.
+    fn make(&self, sound: &Path, output: &Path, events: &Events, part: impl FnMut(f64)) -> Result<String> {
+        match &self.what {
+            What::Cues(format, style) => {
+                let (said, seconds) = self.shapes(sound, events, part)?;
+                let said = cues::drawn_with(&said, &self.args.extended.0);
+                let file = match is_standard(sound) {
+                    true => name(sound),
+                    false => std::path::absolute(sound)?.display().to_string(),
+                };
+                let text = cues::write_as(*format, &said, &file, style);
+                write(output, |file| Ok(file.write_all(text.as_bytes())?))?;
+                Ok(format!("{} mouth shapes, {seconds:.2} s", said.len()))
+            }
+            What::Weights(table, set, opening) => {
+                let (mut rows, mut seconds) = (0, 0.0);
+                write(output, |file| {
+                    let mut numbers = table.write(file, *set, opening.clone(), self.args.rate)?;
+                    let samples = self.frames(sound, events, part, |frame| {
+                        rows += 1;
+                        Ok(numbers.frame(frame)?)
+                    })?;
+                    if rows == 0 {
+                        bail!("{} gives no cues: {}", name(sound), CueError::NoFrame);
+                    }
+                    seconds = time::seconds(samples);
+                    Ok(numbers.finish()?)
+                })?;
+                Ok(match self.args.rate {
+                    None => format!("{rows} rows, {seconds:.2} s"),
+                    Some(rate) => format!("{seconds:.2} s, {:.3} rows a second", rate.hz()),
+                })
+            }
         }
-    };
-    let seconds = time::seconds(samples);
-    let said = shapes.finish(seconds);
-    let said = said.with_context(|| format!("{} gives no cues", name(&args.wav)))?;
-    Ok((said, seconds))
+    }
+
+    /// The mouth shapes of a sound, and how long it is.
+    fn shapes(&self, sound: &Path, events: &Events, part: impl FnMut(f64)) -> Result<(Vec<Cue>, f64)> {
+        let mut shapes = Shapes::default();
+        let samples = self.frames(sound, events, part, |frame| Ok(shapes.push(frame.visemes)?))?;
+        let seconds = time::seconds(samples);
+        let said = shapes.finish(seconds);
+        let said = said.with_context(|| format!("{} gives no cues", name(sound)))?;
+        Ok((said, seconds))
+    }
+
+    /// Calls `each` with every frame of a sound, whose visemes are those of the text where one is given and fits; gives the number of samples.
+    fn frames(
+        &self,
+        sound: &Path,
+        events: &Events,
+        part: impl FnMut(f64),
+        mut each: impl FnMut(&Frame) -> Result<()>,
+    ) -> Result<usize> {
+        let mut heard = open_sound(sound)?;
+        let Some(dialog) = &self.dialog else {
+            let session = self.engine.session(&RunSettings::default())?;
+            return hear_telling(session, &[], &mut heard, part, each);
+        };
+        let samples = heard.rest()?.samples;
+        let converted = self.engine.convert(&samples, &RunSettings::default())?;
+        let said = match dialog.visemes(&samples)? {
+            Ok(said) => Some(said),
+            Err(why) => {
+                events.say(Level::Warning, &why);
+                None
+            }
+        };
+        for (index, (parameters, visemes)) in converted
+            .parameters
+            .outer_iter()
+            .zip(converted.visemes.outer_iter())
+            .enumerate()
+        {
+            let said = said.as_ref().and_then(|said| said.get(index));
+            each(&Frame {
+                index,
+                parameters: &parameters.to_vec(),
+                visemes: &said.map_or_else(|| visemes.to_vec(), |row| row.to_vec()),
+            })?;
+        }
+        Ok(samples.len())
+    }
 }
 
-/// Writes a table of blend shapes; gives what is to be said of it.
-fn blends(args: &Args, engine: &Engine) -> Result<String> {
-    let mut sound = open_sound(&args.wav)?;
-    let session = engine.session(&RunSettings::default())?;
-    let opening = opening(args.model.as_deref(), engine)?;
-    let mut samples = 0;
-    write(&args.output, |file| {
-        let mut rows = BlendSet::from(args.set).write(file, opening.clone())?;
-        samples = hear(session, &[], &mut sound, |frame| Ok(rows.frame(frame)?))?;
-        if time::frame_count(samples) == 0 {
-            bail!("{} gives no cues: {}", name(&args.wav), CueError::NoFrame);
-        }
-        Ok(rows.finish()?)
-    })?;
-    Ok(format!(
-        "{} rows, {:.2} s",
-        time::frame_count(samples),
-        time::seconds(samples)
-    ))
+/// How cue files are to be written.
+fn style(args: &Args) -> Style {
+    Style {
+        dat_fps: args.dat_frame_rate.unwrap_or(Style::default().dat_fps),
+        preston_blair: args.dat_use_preston_blair,
+        closed: match args.extended.0.contains(&Shape::X) {
+            true => Shape::X,
+            false => Shape::A,
+        },
+    }
 }

@@ -20,7 +20,7 @@ pub(super) struct Dialog {
 impl Dialog {
     /// Reads a text file.
     pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = labels::decode(&files::read_bytes(path)?)
+        let text = labels::decode(&files::read_text(path)?)
             .with_context(|| format!("cannot read the text {}", path.display()))?;
         let pronouncer = Pronouncer::new(None)?;
         let spoken = transcript::words(&text);
@@ -47,8 +47,8 @@ impl Dialog {
         let heard = Recogniser::shipped()?.recognise(samples)?;
         match Fit::of(&aligned, &heard) {
             Some(fit) if !fit.says() => Ok(Err(format!(
-                "the words of {} do not fit what is heard ({:.1} nats a frame worse, the worst word {:.1}): the sound alone decides",
-                self.name, fit.all, fit.worst
+                "the words of {} do not fit what is heard ({fit}): the sound alone decides",
+                self.name
             ))),
             _ => Ok(Ok(weights(&aligned, time::frame_count(samples.len())))),
         }

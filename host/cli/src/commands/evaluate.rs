@@ -3,11 +3,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use super::{choices, evaluate_mouth};
+use super::{choices, evaluate_held_out, evaluate_mouth};
 use crate::progress::Terminal;
-use lipstream::hmm::system::Speech;
+use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
+use lipstream::mouth::MouthSpace;
+use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
     self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
@@ -35,7 +37,7 @@ const OF_SYSTEMS: [&str; 12] = [
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Feature folder with video (made by `lipstream prepare`); with --strangers a video or a folder of videos
-    dir: PathBuf,
+    pub(super) dir: PathBuf,
     /// Measure how well the lip gap of the model [default: the shipped one] follows that of the people in the videos DIR, whom it need not know:
     /// correlation with their landmarks at lag 0, after 30 s of their voice, at the best lag; loudness and chance beside it
     #[arg(long, conflicts_with_all = OF_SYSTEMS)]
@@ -44,30 +46,35 @@ pub(crate) struct Args {
     /// and nowhere else, and whether visemes are the labels'. All clips, unless --split is given
     #[arg(long, conflicts_with = "strangers", conflicts_with_all = OF_SYSTEMS)]
     voices: bool,
+    /// Measure on words that training has never seen said: FOLDS is made by `lipstream folds DIR`, and what is to be measured is trained on each of its folders. `-m` and
+    /// `--predictions NAME=FOLDER` name what is trained on all clips; the same file in FOLDS/words-N/models, the folder FOLDS/words-N/predictions/NAME is
+    /// that of a fold (of size-N too where it is there). Missing --systems are trained
+    #[arg(long, value_name = "FOLDS", conflicts_with_all = ["strangers", "voices", "also", "against", "noise", "noise_system", "babble", "cold", "quick"])]
+    pub(super) held_out: Option<PathBuf>,
     /// Model to measure, beside the mean and ridge regression
     #[arg(short, long, value_name = "MODEL.safetensors")]
-    model: Option<PathBuf>,
+    pub(super) model: Option<PathBuf>,
     /// Systems of the papers to measure: names separated by commas, `all` of the papers', or `variants` of their HMMs. Those that are not in --models are trained
     #[arg(long, value_name = "NAMES")]
-    systems: Option<String>,
+    pub(super) systems: Option<String>,
     /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
     #[arg(long, value_name = "DIR")]
-    models: Option<PathBuf>,
+    pub(super) models: Option<PathBuf>,
     /// Likelihood-trained model to measure too, under this name: a system that was trained otherwise (several times)
     #[arg(long, value_name = "NAME=MODEL.safetensors")]
     also: Vec<String>,
     /// Feature folder whose sound trains the systems too; may be given many times
     #[arg(long, value_name = "DIR", requires = "systems")]
-    audio: Vec<PathBuf>,
+    pub(super) audio: Vec<PathBuf>,
     /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
     #[arg(long, value_name = "NAME=FOLDER")]
-    predictions: Vec<String>,
+    pub(super) predictions: Vec<String>,
     /// Clips to measure on [default: test]
     #[arg(long)]
-    split: Option<choices::Split>,
+    pub(super) split: Option<choices::Split>,
     /// Report to write: a folder (page, tables and JSON, with noise and cold starts), or a .md, .html or .json file
     #[arg(short, long, value_name = "REPORT")]
-    output: Option<PathBuf>,
+    pub(super) output: Option<PathBuf>,
     /// System that the others are compared with [default: ph-vi-chmm]
     #[arg(long, value_name = "NAME")]
     against: Option<String>,
@@ -88,16 +95,16 @@ pub(crate) struct Args {
     quick: bool,
     /// Resamples of the intervals and tests
     #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(100..=1_000_000))]
-    resamples: u32,
+    pub(super) resamples: u32,
     /// Seed of resamples, noise and starts
     #[arg(long, default_value_t = 1)]
-    seed: u64,
+    pub(super) seed: u64,
     /// Width of the device's beam in bits [default: the exported one]
     #[arg(long)]
-    beam: Option<f64>,
+    pub(super) beam: Option<f64>,
     /// Print JSON instead of the tables
     #[arg(long)]
-    json: bool,
+    pub(super) json: bool,
 }
 
 /// The last part of a path: a report is read on other machines.
@@ -121,60 +128,37 @@ pub(crate) fn run(args: Args) -> Result<()> {
             false => evaluate_mouth::strangers(&asked),
         };
     }
+    if let Some(folds) = &args.held_out {
+        return evaluate_held_out::run(&args, folds);
+    }
     let progress = Terminal::default();
     let destination = args.output.as_deref().map(Destination::of).transpose()?;
     let folder = FeatureFolder::open(&args.dir)?;
     folder.of_eigenmouths()?;
     let full = destination.as_ref().is_some_and(Destination::is_folder) && !args.quick;
     let settings = settings(&args, full)?;
-    let (model, trained) = args.model.as_deref().map(read).transpose()?.unzip();
-    let trained = trained.flatten();
-    let chosen = args
-        .systems
-        .as_deref()
-        .map(systems::parse)
-        .transpose()?
-        .unwrap_or_default();
     let store = args.models.clone().or_else(|| {
         let folder = destination.as_ref().filter(|d| d.is_folder());
         folder
             .and(args.output.as_ref())
             .map(|output| output.join("models"))
     });
-    let stored = match store {
-        _ if chosen.is_empty() => Vec::new(),
-        None => bail!("say with --models where the systems' models are, or write a report folder with -o"),
-        Some(store) => {
-            let heard = args
-                .audio
-                .iter()
-                .map(|path| FeatureFolder::open(path))
-                .collect::<Result<Vec<_>, _>>()?;
-            systems::open_or_train(&chosen, &store, &folder, &heard, &progress)?
-        }
+    let from = Sources {
+        model: args.model.as_deref(),
+        store: store.as_deref(),
+        audio: &args.audio,
     };
-    let also = args.also.iter().map(|given| named(given));
+    let opened = Opened::of(&folder, args.systems.as_deref(), &from, &progress)?;
+    let also = args.also.iter().map(|given| named(given, &folder));
     let also = also.collect::<Result<Vec<_>>>()?;
-    let mut candidates = vec![models::mean(folder.manifest.visual_size)];
-    candidates.extend(models::ridge(&folder, full)?);
-    if let Some(model) = &model {
-        candidates.extend(match model.system.speech {
-            Speech::LocalLinear => models::of_model(&folder, model, args.beam)?,
-            // The device does not speak by means; a system that is measured anyway stands there once.
-            _ if chosen.contains(&model.system) => Vec::new(),
-            _ => systems::candidates(&systems::by_means(model.system), std::slice::from_ref(model))?,
-        });
-    }
-    if let Some(trained) = &trained {
-        candidates.extend(models::of_mge(&folder, trained, args.beam)?);
-    }
-    candidates.extend(systems::candidates(&chosen, &stored)?);
+    let mut candidates = opened.candidates(&folder, args.beam, full)?;
     for (name, model) in &also {
         candidates.extend(systems::also(name, model, &folder)?);
     }
+    let (chosen, stored) = (&opened.chosen, &opened.stored);
     if full {
-        candidates.extend(look_ahead::curves(&folder, &chosen, &stored, &progress)?);
-        if let Some(trained) = &trained {
+        candidates.extend(look_ahead::curves(&folder, chosen, stored, &progress)?);
+        if let Some(trained) = &opened.trained {
             candidates.extend(look_ahead::of_mge(trained, "mge, one model"));
         }
     }
@@ -197,7 +181,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         let heading = Heading {
             title: "AMSE and ACC".to_owned(),
             command: command(&args),
-            provenance: match (&trained, &model) {
+            provenance: match (&opened.trained, &opened.model) {
                 (Some(trained), _) => trained.provenance.clone(),
                 (None, Some(model)) => model.provenance.clone(),
                 (None, None) => String::new(),
@@ -210,13 +194,101 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
+/// Where models are, and what systems are trained on beside the folder.
+pub(super) struct Sources<'a> {
+    pub(super) model: Option<&'a Path>,
+    pub(super) store: Option<&'a Path>,
+    pub(super) audio: &'a [PathBuf],
+}
+
+/// Models that have been read or trained, of which systems are made.
+pub(super) struct Opened {
+    /// The model to measure, or its parent.
+    model: Option<Model>,
+    trained: Option<RecurrentModel>,
+    /// The papers' systems that are asked for, and their models.
+    chosen: Vec<System>,
+    stored: Vec<Model>,
+}
+
+impl Opened {
+    /// The model, and those of the papers' `systems`: read where they are, or trained on `folder` and kept there.
+    pub(super) fn of(
+        folder: &FeatureFolder,
+        systems: Option<&str>,
+        from: &Sources,
+        progress: &dyn Progress,
+    ) -> Result<Self> {
+        let (model, trained) = from.model.map(|path| read(path, folder)).transpose()?.unzip();
+        let chosen = systems.map(systems::parse).transpose()?.unwrap_or_default();
+        let stored = match from.store {
+            _ if chosen.is_empty() => Vec::new(),
+            None => {
+                bail!("say with --models where the systems' models are, or write a report folder with -o")
+            }
+            Some(store) => {
+                let heard = from.audio.iter().map(|path| FeatureFolder::open(path));
+                let heard = heard.collect::<Result<Vec<_>, _>>()?;
+                systems::open_or_train(&chosen, store, folder, &heard, progress)?
+            }
+        };
+        Ok(Self {
+            model,
+            trained: trained.flatten(),
+            chosen,
+            stored,
+        })
+    }
+
+    /// The mean and ridge regression (its points of quality against look-ahead too with `curves`), the model, and the systems.
+    pub(super) fn candidates<'a>(
+        &'a self,
+        folder: &'a FeatureFolder,
+        beam: Option<f64>,
+        curves: bool,
+    ) -> Result<Vec<Candidate<'a>>> {
+        let mut candidates = vec![models::mean(folder.manifest.visual_size)];
+        candidates.extend(models::ridge(folder, curves)?);
+        if let Some(model) = &self.model {
+            candidates.extend(match model.system.speech {
+                Speech::LocalLinear => models::of_model(folder, model, beam)?,
+                // The device does not speak by means; a system that is measured anyway stands there once.
+                _ if self.chosen.contains(&model.system) => Vec::new(),
+                _ => systems::candidates(&systems::by_means(model.system), std::slice::from_ref(model))?,
+            });
+        }
+        if let Some(trained) = &self.trained {
+            candidates.extend(models::of_mge(folder, trained, beam)?);
+        }
+        candidates.extend(systems::candidates(&self.chosen, &self.stored)?);
+        Ok(candidates)
+    }
+}
+
 /// A model trained by likelihood; or one trained on its error, after the parent that it came from.
-fn read(path: &Path) -> Result<(Model, Option<RecurrentModel>)> {
-    if RecurrentModel::is_kind(&Tensors::read(path)?) {
+fn read(path: &Path, folder: &FeatureFolder) -> Result<(Model, Option<RecurrentModel>)> {
+    let tensors = Tensors::read(path)?;
+    has_mouth(&tensors, path, folder)?;
+    if RecurrentModel::is_kind(&tensors) {
         let trained = RecurrentModel::read(path)?;
         return Ok((trained.parent.clone(), Some(trained)));
     }
     Ok((Model::read(path)?, None))
+}
+
+/// Refuses a model that draws another mouth than the folder's, where it draws one.
+fn has_mouth(tensors: &Tensors, path: &Path, folder: &FeatureFolder) -> Result<()> {
+    if !tensors.has("mouth.mean") {
+        return Ok(());
+    }
+    let space = MouthSpace::load(tensors)?;
+    // Another number of parameters has words of its own.
+    if space.size() == folder.manifest.visual_size {
+        folder
+            .has_mouth(&space)
+            .with_context(|| path.display().to_string())?;
+    }
+    Ok(())
 }
 
 fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
@@ -238,15 +310,19 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
 }
 
 /// NAME=MODEL.safetensors.
-fn named(given: &str) -> Result<(String, Model)> {
+fn named(given: &str, folder: &FeatureFolder) -> Result<(String, Model)> {
     match given.split_once('=') {
-        Some((name, path)) if !name.is_empty() => Ok((name.to_owned(), Model::read(Path::new(path))?)),
+        Some((name, path)) if !name.is_empty() => {
+            let path = Path::new(path);
+            has_mouth(&Tensors::read(path)?, path, folder)?;
+            Ok((name.to_owned(), Model::read(path)?))
+        }
         _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
     }
 }
 
 /// NAME=FOLDER or NAME@MS=FOLDER.
-fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
+pub(super) fn predictions<'a>(given: &str) -> Result<Candidate<'a>> {
     let Some((name, folder)) = given.split_once('=') else {
         bail!("--predictions {given}: write NAME=FOLDER");
     };

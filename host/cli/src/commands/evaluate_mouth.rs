@@ -55,25 +55,9 @@ impl Asked<'_> {
         measure: impl FnOnce(&Engine, &OpeningReader) -> Result<R>,
     ) -> Result<()> {
         let (engine, reader) = self.mouth()?;
-        // Before minutes of work.
-        let output = self
-            .output
-            .map(|path| Ok::<_, anyhow::Error>((path, ending(path)?)))
-            .transpose()?;
+        let output = destination(self.output)?;
         let report = measure(&engine, &reader)?;
-        match self.as_json {
-            true => println!("{}", json(&report)?),
-            false => print!("{}", markdown(&report)),
-        }
-        if let Some((output, ending)) = output {
-            let text = match ending {
-                Ending::Json => json(&report)?,
-                Ending::Markdown => markdown(&report),
-            };
-            files::write_bytes(output, text.as_bytes())?;
-            eprintln!("written: {}", output.display());
-        }
-        Ok(())
+        print_and_write(&report, markdown(&report), self.as_json, output)
     }
 
     /// The model, and what reads its lips.
@@ -96,9 +80,36 @@ impl Asked<'_> {
     }
 }
 
-enum Ending {
+/// Prints a report, and writes it where that is asked for.
+pub(super) fn print_and_write(
+    report: &impl Serialize,
+    markdown: String,
+    as_json: bool,
+    output: Option<(&Path, Ending)>,
+) -> Result<()> {
+    match as_json {
+        true => println!("{}", json(report)?),
+        false => print!("{markdown}"),
+    }
+    if let Some((output, ending)) = output {
+        let text = match ending {
+            Ending::Json => json(report)?,
+            Ending::Markdown => markdown,
+        };
+        files::write_bytes(output, text.as_bytes())?;
+        eprintln!("written: {}", output.display());
+    }
+    Ok(())
+}
+
+pub(super) enum Ending {
     Markdown,
     Json,
+}
+
+/// A report's file with its kind, refused in words before minutes of work.
+pub(super) fn destination(output: Option<&Path>) -> Result<Option<(&Path, Ending)>> {
+    output.map(|path| Ok((path, ending(path)?))).transpose()
 }
 
 fn ending(output: &Path) -> Result<Ending> {
@@ -106,10 +117,7 @@ fn ending(output: &Path) -> Result<Ending> {
     match ending.as_deref() {
         Some("md") => Ok(Ending::Markdown),
         Some("json") => Ok(Ending::Json),
-        _ => bail!(
-            "{}: a report on strangers or voices ends in .md or .json",
-            output.display()
-        ),
+        _ => bail!("{}: this report ends in .md or .json", output.display()),
     }
 }
 

@@ -1,22 +1,26 @@
 //! The command line: one file per command.
 use std::ffi::OsString;
 
-use anyhow::Result;
+use anyhow::{Context as _, Result};
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 mod advice;
 mod align;
+mod batch;
 mod check;
 mod choices;
 mod convert;
 mod cues;
+mod cues_events;
 mod demo;
 mod dialog;
 mod evaluate;
+mod evaluate_held_out;
 mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;
+mod folds;
 mod manual;
 mod mos;
 mod prepare;
@@ -50,6 +54,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Folds(folds::Args),
     Man(manual::Man),
     Mos(mos::Args),
     Prepare(prepare::Args),
@@ -63,7 +68,12 @@ enum Command {
 
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
-    let done = match Cli::parse_from(args).command {
+    let command = Cli::parse_from(args).command;
+    // These two end in their own way when somebody presses Ctrl-C: what they have recorded stays.
+    if !matches!(command, Command::Record(_) | Command::View(_)) {
+        end_without_leftovers()?;
+    }
+    let done = match command {
         Command::Align(args) => align::run(args),
         Command::Check(args) => check::run(args),
         Command::Completions(args) => manual::completions(args, Cli::command()),
@@ -73,6 +83,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Folds(args) => folds::run(args),
         Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
         Command::Prepare(args) => prepare::run(args),
@@ -84,6 +95,19 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::View(args) => view::run(args),
     };
     done.map_err(advice::with_flags)
+}
+
+/// Whoever ends the program before its time finds no file that is not whole, nor what would have become one.
+fn end_without_leftovers() -> Result<()> {
+    let listening = ctrlc::set_handler(|| {
+        lipstream_media::files::abandon_unfinished();
+        std::process::exit(130);
+    });
+    match listening {
+        // A program that runs several commands has done so already.
+        Err(ctrlc::Error::MultipleHandlers) => Ok(()),
+        listening => listening.context("cannot listen for Ctrl-C"),
+    }
 }
 
 #[cfg(test)]

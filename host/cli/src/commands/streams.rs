@@ -35,9 +35,20 @@ pub(crate) fn read_sound(path: &Path) -> Result<Vec<i16>> {
 
 /// Calls `each` with every frame of a sound whose first samples, `head`, have been read; gives the number of samples.
 pub(crate) fn hear(
+    session: Session,
+    head: &[i16],
+    sound: &mut Reader,
+    each: impl FnMut(&Frame) -> Result<()>,
+) -> Result<usize> {
+    hear_telling(session, head, sound, |_| {}, each)
+}
+
+/// [`hear`], and calls `part` with how much of a file has been heard, 0 to 1, from time to time.
+pub(crate) fn hear_telling(
     mut session: Session,
     head: &[i16],
     sound: &mut Reader,
+    mut part: impl FnMut(f64),
     mut each: impl FnMut(&Frame) -> Result<()>,
 ) -> Result<usize> {
     let (mut samples, mut heard) = (head.len(), Ok(()));
@@ -50,6 +61,9 @@ pub(crate) fn hear(
     while let Some(piece) = sound.piece()? {
         samples += piece.len();
         session.push(piece, &mut take)?;
+        if let Some(read) = sound.part_read() {
+            part(read);
+        }
     }
     session.finish(&mut take)?;
     heard?;

@@ -7,6 +7,7 @@ mod arithmetic;
 mod given;
 pub(crate) mod hcopy;
 pub(crate) mod program;
+pub(crate) mod talker;
 
 pub(crate) use arithmetic::{quieter, snr_db};
 pub(crate) use given::*;

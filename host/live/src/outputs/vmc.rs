@@ -8,7 +8,7 @@
 //! first. A bundle is `#bundle`, a time (1: at once), and messages, each behind its length (opensoundcontrol.stanford.edu/spec-1_0.html).
 use std::io;
 
-use lipstream::cues::{ARKIT, BlendSet, Blender, OCULUS};
+use lipstream::cues::{ARKIT, BlendSet, Blender};
 
 use super::{Datagrams, Output};
 use crate::event::Event;
@@ -17,14 +17,14 @@ use crate::event::Event;
 pub(super) const PORT: u16 = 39539;
 /// A datagram is kept below what a network passes on in one piece.
 const MOST: usize = 1400;
-/// The vowels of VRM, and the Oculus visemes that they are.
-const VOWELS: [(&str, &str); 5] = [("A", "aa"), ("I", "I"), ("U", "U"), ("E", "E"), ("O", "O")];
+/// What VRM 0, whose names the protocol has, calls the vowels of [`lipstream::cues::VRM`].
+const VOWELS: [&str; 5] = ["A", "I", "U", "E", "O"];
 
 /// Frames to one avatar.
 pub struct Vmc {
     to: Datagrams,
     arkit: Blender,
-    oculus: Blender,
+    vowels: Blender,
 }
 
 impl Vmc {
@@ -33,7 +33,7 @@ impl Vmc {
         Self {
             to,
             arkit: BlendSet::Arkit.blender(),
-            oculus: BlendSet::Oculus.blender(),
+            vowels: BlendSet::Vrm.blender(),
         }
     }
 }
@@ -43,7 +43,7 @@ impl Output for Vmc {
         let Event::Frame(timed) = event else { return Ok(()) };
         let opening = timed.opening();
         let arkit = self.arkit.blend(timed.visemes(), opening);
-        let oculus = self.oculus.blend(timed.visemes(), opening);
+        let vowels = self.vowels.blend(timed.visemes(), opening);
         let mut bundle = Bundle::new();
         for (name, weight) in ARKIT.iter().zip(&arkit) {
             if ["jaw", "mouth", "tongue"]
@@ -53,11 +53,7 @@ impl Output for Vmc {
                 bundle.put(&value(name, *weight), &self.to)?;
             }
         }
-        for (clip, viseme) in VOWELS {
-            let weight = OCULUS
-                .iter()
-                .position(|name| *name == viseme)
-                .map_or(0.0, |k| oculus[k]);
+        for (clip, weight) in VOWELS.into_iter().zip(vowels) {
             bundle.put(&value(clip, weight), &self.to)?;
         }
         bundle.put(&message("/VMC/Ext/Blend/Apply", ",", &[]), &self.to)?;

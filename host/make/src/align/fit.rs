@@ -49,6 +49,17 @@ impl Fit {
     }
 }
 
+impl std::fmt::Display for Fit {
+    /// The score, and what it may be at most.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "{:.1} nats a frame worse than any sounds would, the worst word {:.1}; at most {MOST_OF_ALL} and {MOST_OF_A_WORD} where a text is said",
+            self.all, self.worst
+        )
+    }
+}
+
 /// Mean log likelihood of a frame between two moments.
 fn mean(of: &Alignment, from: f64, to: f64) -> f64 {
     let (mut sum, mut seconds) = (0.0, 0.0);

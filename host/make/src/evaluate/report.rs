@@ -4,6 +4,7 @@ use serde::Serialize;
 use super::bootstrap::{Difference, Interval};
 use super::closure::Closure;
 use super::cold;
+use super::readability::Readable;
 use crate::features::{FeatureFolder, Split};
 use crate::noise;
 
@@ -88,6 +89,8 @@ pub struct Report {
     pub rates: Rates,
     /// How well the mouths close, where it could be measured.
     pub closure: Option<Closure>,
+    /// How many words a lip reader who learnt from true mouths reads off the true mouths of these clips, where it could be measured.
+    pub true_readability: Option<Interval>,
     /// X&L figure 10, for systems that iterate.
     pub convergence: Vec<Convergence>,
     /// X&L figures 7 and 11: the first parameter of a few clips.
@@ -117,6 +120,8 @@ pub struct System {
     pub with_clip_means: Option<[Interval; 2]>,
     /// This system less the reference; `None` for the reference itself.
     pub against_reference: Option<Against>,
+    /// How many words the lip reader reads off this system's mouth, where it could be measured.
+    pub readability: Option<Readable>,
     /// In speech, by the labels: how often the likeliest viseme changes, and how often a drawn mouth shape (`cues`) does.
     pub viseme_changes_per_second: Option<f64>,
     /// Cues that begin in a second of speech; `None` for a system without visemes.

@@ -48,6 +48,7 @@ pub fn tables(report: &Report) -> Vec<Table> {
         against(report),
         with_clip_means(report),
         closure(report),
+        readability(report),
         changes(report),
         look_ahead(report),
         noise(report),
@@ -170,6 +171,31 @@ fn closure(report: &Report) -> Option<Table> {
         ];
         cells.extend(numbers.map(|v| interval(&v, 3)));
         table.rows.push(cells);
+    }
+    Some(table)
+}
+
+fn readability(report: &Report) -> Option<Table> {
+    let own = report.true_readability.as_ref()?;
+    let mut table = Table::new(
+        "Lip-readability",
+        "A lip reader who learnt from the true mouths of the training clips is told where each word of these clips lies and between which words to choose. Share of the words \
+         that are read rightly, averaged over the places of a sentence, and as a share of what is read off the true mouths.",
+        &["system", "words read", "of the true mouth's"],
+    );
+    table.rows.push(vec![
+        "the true mouth".to_owned(),
+        interval(own, 3),
+        "1.000".to_owned(),
+    ]);
+    for system in &report.systems {
+        if let Some(read) = &system.readability {
+            table.rows.push(vec![
+                system.name.clone(),
+                interval(&read.accuracy, 3),
+                interval(&read.of_true, 3),
+            ]);
+        }
     }
     Some(table)
 }

@@ -1,8 +1,21 @@
 //! Bytes that come once and in order, from a file, a pipe or memory, of which the first can be looked at before they are taken.
 use std::io::{self, BufReader, Read};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bytes that are asked of the source at a time.
 const AT_A_TIME: usize = 1 << 16;
+
+/// A source whose bytes are counted as they are read, for whoever holds the counter: a decoder keeps the source itself.
+pub(super) struct Counted<R>(pub(super) R, pub(super) Arc<AtomicU64>);
+
+impl<R: Read> Read for Counted<R> {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        let read = self.0.read(to)?;
+        self.1.fetch_add(read as u64, Ordering::Relaxed);
+        Ok(read)
+    }
+}
 
 /// A source of bytes.
 pub(super) struct Input<'a> {

@@ -10,6 +10,8 @@
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 mod codec;
 mod container;
@@ -23,7 +25,7 @@ mod resample;
 mod wav;
 
 use container::{Container, Track};
-use input::Input;
+use input::{Counted, Input};
 use mix::Mixer;
 use resample::To16Khz;
 
@@ -142,6 +144,8 @@ pub struct Reader<'a> {
     decoder: Box<dyn Decode + 'a>,
     mixer: Mixer,
     to_16_khz: To16Khz,
+    /// Bytes of the file that have been read, and all of them, where it is a file.
+    read: Option<(Arc<AtomicU64>, u64)>,
     /// Whether a sample has come.
     any: bool,
     /// Whether the last piece has been given.
@@ -183,11 +187,14 @@ impl Reader<'static> {
         let file = File::open(path).map_err(unread)?;
         let about = file.metadata().map_err(unread)?;
         let length = about.is_file().then_some(about.len());
-        let mut input = Input::new(Box::new(file), length);
+        let read = Arc::new(AtomicU64::new(0));
+        let mut input = Input::new(Box::new(Counted(file, Arc::clone(&read))), length);
         // What a disk or a folder refuses shows here.
         input.peek(1).map_err(unread)?;
         let name = path.display().to_string();
-        Self::of_input(&name, input, length.map(|_| path)).map_err(in_file(&name))
+        let mut reader = Self::of_input(&name, input, length.map(|_| path)).map_err(in_file(&name))?;
+        reader.read = length.map(|length| (read, length));
+        Ok(reader)
     }
 
     /// Reads a sound as it comes, from a pipe for instance; errors call it `name`.
@@ -249,6 +256,7 @@ impl<'a> Reader<'a> {
             to_16_khz: To16Khz::new(rate_hz)?,
             decoder,
             mixer: Mixer::default(),
+            read: None,
             any: false,
             ended: false,
             decoded: Vec::new(),
@@ -256,6 +264,13 @@ impl<'a> Reader<'a> {
             resampled: Vec::new(),
             samples: Vec::new(),
         })
+    }
+
+    /// How much of the file has been read, 0 to 1, by its bytes; None of what is no file, whose end nobody knows. The files of video programs (MP4, WebM) are looked up in
+    /// any order and say little about it.
+    pub fn part_read(&self) -> Option<f64> {
+        let (read, all) = self.read.as_ref()?;
+        Some((read.load(Ordering::Relaxed) as f64 / (*all).max(1) as f64).min(1.0))
     }
 
     /// Rate of the file.

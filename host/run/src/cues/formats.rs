@@ -1,4 +1,4 @@
-//! The four formats of Rhubarb Lip Sync 1.x: TSV, XML, JSON, and DAT (Moho's switch layers).
+//! The four formats of Rhubarb Lip Sync 1.x, TSV, XML, JSON, and DAT (Moho's switch layers), and WebVTT (subtitles in browsers, w3.org/TR/webvtt1).
 use std::fmt::Write as _;
 
 use super::{Cue, Shape};
@@ -17,11 +17,13 @@ pub enum Format {
     Json,
     /// A switch layer of Moho, by pictures at 24 a second.
     Dat,
+    /// WebVTT, a cue a shape.
+    Vtt,
 }
 
 impl Format {
     /// Every format.
-    pub const ALL: [Format; 4] = [Format::Tsv, Format::Xml, Format::Json, Format::Dat];
+    pub const ALL: [Format; 5] = [Format::Tsv, Format::Xml, Format::Json, Format::Dat, Format::Vtt];
 
     /// The file ending, lower case.
     pub fn ending(self) -> &'static str {
@@ -30,6 +32,7 @@ impl Format {
             Format::Xml => "xml",
             Format::Json => "json",
             Format::Dat => "dat",
+            Format::Vtt => "vtt",
         }
     }
 }
@@ -69,6 +72,7 @@ pub fn write_as(format: Format, cues: &[Cue], sound: &str, style: &Style) -> Str
         Format::Xml => xml(cues, sound, end_s),
         Format::Json => json(cues, sound, end_s),
         Format::Dat => dat(cues, end_s, style),
+        Format::Vtt => vtt(cues),
     }
 }
 
@@ -166,5 +170,19 @@ fn dat(cues: &[Cue], end_s: f64, style: &Style) -> String {
         }
     }
     let _ = writeln!(out, "{} {}", picture(end_s).max(last + 1), name(style.closed));
+    out
+}
+
+fn vtt(cues: &[Cue]) -> String {
+    let time = |s: f64| {
+        let ms = (s * 1000.0).round() as u64;
+        let (hours, minutes) = (ms / 3_600_000, ms / 60_000 % 60);
+        format!("{hours:02}:{minutes:02}:{:02}.{:03}", ms / 1000 % 60, ms % 1000)
+    };
+    let mut out = String::from("WEBVTT\n");
+    for cue in cues {
+        let (from, to) = (time(cue.start_s), time(cue.end_s));
+        let _ = write!(out, "\n{from} --> {to}\n{}\n", cue.shape.letter());
+    }
     out
 }

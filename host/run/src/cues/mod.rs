@@ -19,9 +19,13 @@ use crate::time::border_seconds;
 
 mod blend;
 mod formats;
+mod rows;
+mod targets;
 
-pub use blend::{ARKIT, BlendSet, Blender, OCULUS};
+pub use blend::Blender;
 pub use formats::{Format, Style, write, write_as};
+pub use rows::{Rate, Table};
+pub use targets::{ARKIT, AZURE, BlendSet, FACS, OCULUS, POLLY, VRM};
 
 /// A mouth shape of Rhubarb Lip Sync (the six of Preston Blair's tradition, and G, H, X).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,6 +1,5 @@
 use super::*;
 use crate::phones::Phone;
-use crate::session::Frame;
 use ndarray::Array2;
 
 /// Weights of 1 for the visemes of `phones`, each for so many frames.
@@ -222,33 +221,14 @@ fn xml_escapes_names() {
     assert!(text.starts_with("<?xml version=\"1.0\" encoding=\"utf-8\"?>\n<rhubarbResult>"));
 }
 
-fn csv(set: BlendSet, weights: &Array2<f32>) -> String {
-    let mut text = Vec::new();
-    let mut rows = set.write(&mut text, None).unwrap();
-    for (index, visemes) in weights.outer_iter().enumerate() {
-        let frame = Frame {
-            index,
-            parameters: &[],
-            visemes: &visemes.to_vec(),
-        };
-        rows.frame(&frame).unwrap();
-    }
-    rows.finish().unwrap();
-    String::from_utf8(text).unwrap()
-}
-
 #[test]
-fn tables_have_a_row_a_frame() {
-    let weights = spoken(&[("sil", 2), ("m", 2)]);
-    let oculus = csv(BlendSet::Oculus, &weights);
-    let rows: Vec<Vec<&str>> = oculus.lines().map(|l| l.split(',').collect()).collect();
-    assert_eq!(rows.len(), 5);
-    assert!(rows.iter().all(|r| r.len() == 16));
-    assert_eq!((rows[0][1], rows[1][1], rows[1][0]), ("sil", "1.000", "0.0125"));
-    assert_eq!((rows[0][2], rows[3][2]), ("PP", "1.000"));
-    let arkit = csv(BlendSet::Arkit, &weights);
-    let rows: Vec<Vec<&str>> = arkit.lines().map(|l| l.split(',').collect()).collect();
-    assert!(rows.iter().all(|r| r.len() == 53));
-    let press = rows[0].iter().position(|n| *n == "mouthPressLeft").unwrap();
-    assert_eq!((rows[1][press], rows[3][press]), ("0.000", "0.400"));
+fn subtitles_have_times_of_their_own_kind() {
+    let mut cues = two();
+    cues[1].start_s = 3_723.456;
+    cues[0].end_s = cues[1].start_s;
+    cues[1].end_s = 3_724.0;
+    assert_eq!(
+        write(Format::Vtt, &cues, "a.wav"),
+        "WEBVTT\n\n00:00:00.000 --> 01:02:03.460\nX\n\n01:02:03.460 --> 01:02:04.000\nD\n"
+    );
 }

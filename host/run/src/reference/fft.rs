@@ -13,14 +13,19 @@ pub struct Magnitude {
 
 impl Default for Magnitude {
     fn default() -> Self {
-        Self {
-            plan: RealFftPlanner::new().plan_fft_forward(FFT_POINTS),
-        }
+        Self::of_points(FFT_POINTS)
     }
 }
 
 impl Magnitude {
-    /// |X\[k\]| for k = 0..=256.
+    /// The transform of `points` points.
+    pub fn of_points(points: usize) -> Self {
+        Self {
+            plan: RealFftPlanner::new().plan_fft_forward(points),
+        }
+    }
+
+    /// |X\[k\]| for k from 0 to half the number of points (256 of the front end's own).
     pub fn magnitudes(&self, frame: &[f64]) -> Vec<f64> {
         let mut input = self.plan.make_input_vec();
         input[..frame.len()].copy_from_slice(frame);

@@ -1,7 +1,6 @@
 //! The floor of what is heard: what a room's hiss adds to the energy and to the mel channels of every window.
 use lipstream_core::frontend::floor::{self, LEVEL};
 
-use super::fft::FFT_POINTS;
 use super::mel::{Filterbank, N_MEL};
 use super::preemphasis::COEFFICIENT;
 
@@ -13,9 +12,10 @@ pub const ENERGY: f64 = floor::ENERGY as f64;
 pub fn channels(mel: &Filterbank, window: &[f64]) -> [f64; N_MEL] {
     let power: f64 = window.iter().map(|w| w * w).sum();
     let level = LEVEL as f64 * (std::f64::consts::FRAC_PI_4 * power).sqrt();
-    let magnitudes: Vec<f64> = (0..=FFT_POINTS / 2)
+    let points = mel.points();
+    let magnitudes: Vec<f64> = (0..=points / 2)
         .map(|k| {
-            let angle = std::f64::consts::TAU * k as f64 / FFT_POINTS as f64;
+            let angle = std::f64::consts::TAU * k as f64 / points as f64;
             let c = COEFFICIENT;
             level * (1.0 - 2.0 * c * angle.cos() + c * c).sqrt()
         })

@@ -33,6 +33,11 @@ const WARPED: f64 = 0.8;
 impl Filterbank {
     /// Channels that hear a voice as if all its frequencies were `factor` times as high: above 1 a shorter vocal tract, as of women and children.
     pub fn of_voice(factor: f64) -> Self {
+        Self::of_points(FFT_POINTS, factor)
+    }
+
+    /// [`Filterbank::of_voice`] over the magnitudes of a transform of `points` points.
+    pub fn of_points(points: usize, factor: f64) -> Self {
         let half = f64::from(lipstream_core::SAMPLE_RATE_HZ) / 2.0;
         let edge = WARPED * half * (1.0 / factor).min(1.0);
         let warped = |hz: f64| match hz <= edge {
@@ -41,9 +46,9 @@ impl Filterbank {
         };
         let rate = f64::from(lipstream_core::SAMPLE_RATE_HZ);
         let spacing = mel(rate / 2.0) / (N_MEL + 1) as f64;
-        let below = (1..=N_BINS)
+        let below = (1..points / 2)
             .map(|bin| {
-                let position = mel(warped(bin as f64 * rate / FFT_POINTS as f64)) / spacing;
+                let position = mel(warped(bin as f64 * rate / points as f64)) / spacing;
                 let channel = (position.floor() as usize).min(N_MEL);
                 (channel, (channel + 1) as f64 - position)
             })
@@ -51,12 +56,17 @@ impl Filterbank {
         Self { below }
     }
 
-    /// Channel below each bin, counted from 1 (0 = none), and its share of the bin; bins 1..=255.
+    /// Points of the transform whose magnitudes it sums.
+    pub fn points(&self) -> usize {
+        2 * (self.below.len() + 1)
+    }
+
+    /// Channel below each bin, counted from 1 (0 = none), and its share of the bin; bins 1..=255 of the front end's own transform.
     pub fn shares(&self) -> &[(usize, f64)] {
         &self.below
     }
 
-    /// 26 channel sums of 257 magnitudes.
+    /// 26 channel sums of the transform's magnitudes (257 of the front end's own).
     pub fn apply(&self, magnitudes: &[f64]) -> [f64; N_MEL] {
         let mut sums = [0.0; N_MEL];
         for (&(channel, share), &magnitude) in self.below.iter().zip(&magnitudes[1..]) {

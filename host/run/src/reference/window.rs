@@ -3,8 +3,13 @@ use lipstream_core::FRAME_SAMPLES;
 
 /// The 400 weights, in [0.08, 1].
 pub fn hamming() -> Vec<f64> {
-    let step = std::f64::consts::TAU / (FRAME_SAMPLES - 1) as f64;
-    (0..FRAME_SAMPLES)
+    hamming_of(FRAME_SAMPLES)
+}
+
+/// A window of `samples` weights, two at least.
+pub fn hamming_of(samples: usize) -> Vec<f64> {
+    let step = std::f64::consts::TAU / (samples - 1) as f64;
+    (0..samples)
         .map(|i| 0.54 - 0.46 * (step * i as f64).cos())
         .collect()
 }

@@ -16,6 +16,7 @@ use crate::{parameters, time};
 pub mod drawn;
 mod enlarge;
 pub mod face;
+pub mod hierarchical;
 pub mod page;
 mod painter;
 pub mod refine;

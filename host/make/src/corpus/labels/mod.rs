@@ -173,7 +173,7 @@ fn check_units(labels: &Labels, duration_s: f64) -> Result<()> {
 ///
 /// That the file cannot be read, and which line is none of these.
 pub fn read_table(path: &Path) -> Result<HashMap<String, Vec<PhoneLabel>>> {
-    let bytes = files::read_bytes(path).map_err(Error::other)?;
+    let bytes = files::read_text(path).map_err(Error::other)?;
     let text = decode(&bytes)?;
     table(&text).with_context(|| format!("labels {}", path.display()))
 }

@@ -52,7 +52,7 @@ impl Pronouncer {
     pub fn new(user: Option<&Path>) -> Result<Self> {
         let user = match user {
             Some(path) => {
-                let text = super::labels::decode(&files::read_bytes(path).map_err(Error::other)?)
+                let text = super::labels::decode(&files::read_text(path).map_err(Error::other)?)
                     .with_context(|| format!("dictionary {}", path.display()))?;
                 read_dictionary(&text).with_context(|| format!("dictionary {}", path.display()))?
             }

@@ -9,6 +9,7 @@ use super::candidate::{Candidate, Heard};
 use super::clip_means::{self, ClipMean};
 use super::closure::{self, Closure, Gaps, TrueGap};
 use super::metrics::Score;
+use super::readability::{self, Read, Reader};
 use super::report::{Against, Curve, EvaluateSettings, Point, Rates, Report, System};
 use super::{Truth, changes, spoken, truths};
 use crate::error::{Error, Result, bail, chain, ensure};
@@ -31,6 +32,8 @@ struct Whole {
     gaps: Vec<Vec<f32>>,
     /// With the clips' means left in, where they are known.
     with_means: Option<Resampled>,
+    /// Words that the lip reader reads, one entry a clip; empty where there is none.
+    read: Vec<Read>,
     /// Turns of the gap in a second of speech.
     turns: Option<f64>,
     changes: Option<changes::Changes>,
@@ -47,6 +50,8 @@ struct Bench<'a> {
     phones: &'a [Vec<PhoneLabel>],
     /// Of the clips; none where they are not known.
     means: Option<Vec<ClipMean>>,
+    /// Reads lips; none where the clips' words are not known.
+    reader: Option<Reader>,
     draws: Draws,
     settings: &'a EvaluateSettings,
     start_mean: [f32; N_STATIC],
@@ -88,12 +93,18 @@ pub fn measure(
     let means = clip_means::learn(folder, &truths).map_err(|error| {
         notes.push(format!("The clips' means are not known: {}.", chain(&error)));
     });
+    progress.say("measuring: a lip reader learns from true mouths");
+    let reader = super::truths(folder, Split::Train).and_then(|truths| Reader::learn(&truths));
+    let reader = reader.map_err(|error| {
+        notes.push(format!("Lip-readability was not measured: {}.", chain(&error)));
+    });
     let bench = Bench {
         folder,
         truths: &truths,
         heard: &heard,
         phones: &phones,
         means: means.ok(),
+        reader: reader.ok(),
         draws: Draws::new(truths.len(), settings.resamples, settings.seed),
         settings,
         start_mean: std::array::from_fn(|i| folder.manifest.start_mean[i]),
@@ -125,6 +136,7 @@ pub fn measure(
     let detailed = reference
         .filter(iterates)
         .or_else(|| (0..candidates.len()).find(iterates));
+    let own_lips = bench.own_lips();
     let cold_starts = bench.cold_starts(candidates)?;
     if settings.cold_starts && cold_starts.is_none() {
         notes.push("No clip is long enough for a start in its middle.".to_owned());
@@ -138,8 +150,11 @@ pub fn measure(
         resamples: settings.resamples,
         seed: settings.seed,
         reference: reference.map(|r| candidates[r].name.clone()),
-        systems: systems(candidates, &whole, reference, &bench.draws),
+        systems: systems(candidates, &whole, reference, own_lips.as_deref(), &bench.draws),
         rates: bench.rates(gaps.as_ref().map(|(_, truths)| &truths[..]))?,
+        true_readability: own_lips
+            .as_ref()
+            .map(|own| readability::judge(own, own, &bench.draws).accuracy),
         look_ahead: curves(candidates, &whole),
         babble_of: settings
             .noise
@@ -207,6 +222,7 @@ fn systems(
     candidates: &[Candidate],
     whole: &[Whole],
     reference: Option<usize>,
+    own_lips: Option<&[Read]>,
     draws: &Draws,
 ) -> Vec<System> {
     let listed = candidates.iter().zip(whole).enumerate();
@@ -230,6 +246,7 @@ fn systems(
                     amse: scores.against(&whole[r].scores, draws, Score::amse),
                     acc: scores.against(&whole[r].scores, draws, Score::acc),
                 }),
+                readability: own_lips.map(|truths| readability::judge(&own.read, truths, draws)),
                 viseme_changes_per_second: own.changes.map(|c| c.visemes_per_second()),
                 cue_changes_per_second: own.changes.map(|c| c.cues_per_second()),
                 gap_turns_per_second: own.turns,
@@ -274,6 +291,13 @@ impl<'a> Bench<'a> {
             .map(|(truth, phones)| gaps.truth(self.folder, truth.clip, phones))
             .collect::<Result<_>>()?;
         Ok((gaps, truths))
+    }
+
+    /// What the lip reader reads off the true mouths.
+    fn own_lips(&self) -> Option<Vec<Read>> {
+        let reader = self.reader.as_ref()?;
+        let read = |truth: &Truth| reader.read(&truth.clip.words, &truth.visual);
+        Some(self.truths.iter().map(read).collect())
     }
 
     fn seconds(&self, n: usize) -> f64 {
@@ -328,6 +352,7 @@ impl<'a> Bench<'a> {
             score: Score,
             with_mean: Option<Score>,
             gap: Vec<f32>,
+            read: Option<Read>,
             changes: Option<changes::Changes>,
             first: Vec<f32>,
         }
@@ -346,6 +371,10 @@ impl<'a> Bench<'a> {
                         Score::of(&(&truth.visual + &mean.own), &(&said.parameters + &mean.speakers))
                     }),
                     gap: gaps.map_or(Vec::new(), |(gaps, _)| gaps.read_out(said.parameters.view())),
+                    read: self
+                        .reader
+                        .as_ref()
+                        .map(|reader| reader.read(&truth.clip.words, &said.parameters)),
                     changes: visemes
                         .map(|v| changes::Changes::of(v.view(), &self.phones[n], self.seconds(n)))
                         .transpose()?,
@@ -361,12 +390,14 @@ impl<'a> Bench<'a> {
                 .map(|s| s.with_mean.clone())
                 .collect::<Option<Vec<_>>>()
                 .map(|scores| Resampled::new(scores, &self.draws)),
+            read: Vec::new(),
             turns: None,
             changes: None,
             drawn: drawn.iter().map(|&n| said[n].first.clone()).collect(),
         };
         for clip in said {
             whole.gaps.push(clip.gap);
+            whole.read.extend(clip.read);
             if let Some(changes) = clip.changes {
                 whole.changes.get_or_insert_default().add(changes);
             }

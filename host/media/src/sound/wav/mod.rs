@@ -65,7 +65,7 @@ impl<'a> Wav<'a> {
                         .get(8..16)
                         .map(|b| b.iter().rev().fold(0, |sum, &b| sum << 8 | u64::from(b)));
                 }
-                b"data" => match long {
+                b"data" => match long.filter(|samples| *samples > 0) {
                     Some(samples) if chunk.size == NOT_KNOWN => {
                         chunk.check(samples, &input)?;
                         break Some(samples);
@@ -75,7 +75,9 @@ impl<'a> Wav<'a> {
                     {
                         break None;
                     }
-                    _ if chunk.size == 0 && nothing_said(ends, &input) => break None,
+                    _ if chunk.size == 0 && (nothing_said(ends, &input) || !a_chunk_follows(&mut input)?) => {
+                        break None;
+                    }
                     _ => {
                         chunk.check(u64::from(chunk.size), &input)?;
                         break Some(u64::from(chunk.size));
@@ -109,7 +111,9 @@ impl<'a> Wav<'a> {
         if self.left.is_none() {
             return Ok(());
         }
-        self.input.skip(u64::from(self.padded))?;
+        if self.padded {
+            fill_up(&mut self.input)?;
+        }
         while self.ends.is_none_or(|ends| self.input.at() < ends)
             && let Some(chunk) = Chunk::next(&mut self.input)?
         {
@@ -205,7 +209,9 @@ impl Chunk {
         input.append(size.min(MOST_FORMAT) as usize, &mut body)?;
         let more = input.skip(size.saturating_sub(MOST_FORMAT))?;
         self.whole(size, body.len() as u64 + more)?;
-        input.skip(size % 2)?;
+        if size % 2 == 1 {
+            fill_up(input)?;
+        }
         Ok(body)
     }
 
@@ -226,8 +232,9 @@ impl Chunk {
         let size = u64::from(self.size);
         self.check(size, input)?;
         self.whole(size, input.skip(size)?)?;
-        // Chunks begin at even places.
-        input.skip(size % 2)?;
+        if size % 2 == 1 {
+            fill_up(input)?;
+        }
         Ok(())
     }
 
@@ -242,6 +249,34 @@ impl Chunk {
 
 fn without<T>(name: &str) -> Result<T> {
     damaged(format!("damaged WAV file: it has no chunk '{name}'"))
+}
+
+/// Chunks that writers put into sound files.
+const KNOWN: [&[u8; 4]; 14] = [
+    b"data", b"fmt ", b"LIST", b"fact", b"bext", b"cue ", b"smpl", b"JUNK", b"junk", b"id3 ", b"ID3 ",
+    b"iXML", b"_PMX", b"PEAK",
+];
+
+/// Passes over the byte behind a chunk of odd length, since chunks begin at even places; some writers leave it out, and the next chunk's name is there.
+fn fill_up(input: &mut Input) -> Result<()> {
+    let next_begins = KNOWN
+        .iter()
+        .any(|name| input.peek(4).is_ok_and(|next| next == *name));
+    input.skip(u64::from(!next_begins))?;
+    Ok(())
+}
+
+/// Whether what comes next is a chunk that ends within the input, or nothing, in a file whose length is known.
+fn a_chunk_follows(input: &mut Input) -> Result<bool> {
+    let Some(length) = input.length() else {
+        return Ok(true);
+    };
+    let ends = length.saturating_sub(input.at() + 8);
+    let head = input.peek(8)?;
+    Ok(head.is_empty()
+        || (head.len() == 8
+            && head[..4].iter().all(|c| (b' '..=b'~').contains(c))
+            && u64::from(little_endian(&head[4..])) <= ends))
 }
 
 /// Whether a size says that its writer did not know it. On a pipe, and in a file that came out of one and is shorter, that may be said in several
