@@ -1,7 +1,7 @@
 //! Servos: what a damaged table says, that limits hold whatever is asked for, how far a mouth of servos lags behind.
 use lipstream_core::servo::{
-    Axis, Calibration, CalibrationError, Channel, MAX_CHANNELS, Mouth, N_CURVE, Role, Servos, WEIGHT_ONE,
-    output,
+    Axis, Calibration, CalibrationError, Channel, MAX_CHANNELS, Mouth, N_CURVE, Role, STRAIGHT, Servos,
+    WEIGHT_ONE, output,
 };
 
 /// Numbers that look random, the same at every run (Marsaglia 2003, *Xorshift RNGs*).
@@ -34,7 +34,7 @@ fn jaw() -> Channel {
         gap_weight: WEIGHT_ONE,
         width_weight: 0,
         viseme_weights: [0; 13],
-        curve: std::array::from_fn(|k| ((k + 1) * (1 << 15) / N_CURVE) as u16),
+        curve: STRAIGHT,
     }
 }
 

@@ -16,6 +16,17 @@ use crate::frame::N_VISEMES;
 pub const MAX_CHANNELS: usize = 6;
 /// Points of a linkage's curve.
 pub const N_CURVE: usize = 8;
+/// The curve of a linkage without bends, or of none: equal steps.
+pub const STRAIGHT: [u16; N_CURVE] = [
+    1 << 12,
+    2 << 12,
+    3 << 12,
+    4 << 12,
+    5 << 12,
+    6 << 12,
+    7 << 12,
+    8 << 12,
+];
 /// The weight that is 1.
 pub const WEIGHT_ONE: i8 = 64;
 /// First bytes of a calibration.

@@ -11,7 +11,8 @@ mod motion;
 pub mod output;
 
 pub use calibration::{
-    Calibration, CalibrationError, Channel, LONGEST_CALIBRATION, MAX_CHANNELS, N_CURVE, Role, WEIGHT_ONE,
+    Calibration, CalibrationError, Channel, LONGEST_CALIBRATION, MAX_CHANNELS, N_CURVE, Role, STRAIGHT,
+    WEIGHT_ONE,
 };
 pub use motion::Axis;
 

@@ -72,7 +72,7 @@ impl JawLinkage {
 
 #[cfg(test)]
 mod tests {
-    use lipstream_core::servo::{Calibration, Channel, Mouth, Role, WEIGHT_ONE};
+    use lipstream_core::servo::{Calibration, Channel, Mouth, Role, STRAIGHT, WEIGHT_ONE};
 
     use super::*;
 
@@ -117,10 +117,9 @@ mod tests {
 
     #[test]
     fn a_jaw_opens_in_proportion_to_the_gap() {
-        let straight = std::array::from_fn(|k| ((k + 1) << 12) as u16);
         let (with, without) = (
             gap_error(&TIGHT, TIGHT.curve().unwrap()),
-            gap_error(&TIGHT, straight),
+            gap_error(&TIGHT, STRAIGHT),
         );
         println!(
             "error of the gap {:.2} % with the curve, {:.2} % without",

@@ -43,14 +43,6 @@ struct Entry<'a> {
     phones: &'a [PhoneLabel],
 }
 
-fn split_name(split: Split) -> &'static str {
-    match split {
-        Split::Train => "train",
-        Split::Val => "val",
-        Split::Test => "test",
-    }
-}
-
 /// Writes every clip's features and the index, which comes last: a folder that has one is whole. Returns the
 /// number of clips.
 pub fn export(folder: &FeatureFolder, to: &Path) -> Result<usize> {
@@ -77,7 +69,7 @@ pub fn export(folder: &FeatureFolder, to: &Path) -> Result<usize> {
 }
 
 fn entry<'a>(folder: &FeatureFolder, clip: &'a Clip, to: &Path) -> Result<Entry<'a>> {
-    let name = |what: &str| format!("{}/{}.{what}.npy", split_name(clip.split), clip.id);
+    let name = |what: &str| format!("{}/{}.{what}.npy", clip.split.name(), clip.id);
     write_npy(&to.join(name("audio")), &folder.audio(clip)?).map_err(Error::other)?;
     let visual = (clip.video_frames > 0).then(|| name("visual"));
     if let Some(name) = &visual {

@@ -4,7 +4,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail};
 use lipstream::linkage::JawLinkage;
 use lipstream::phones::VISEMES;
-use lipstream_core::servo::{Calibration, Channel, N_CURVE, Role, WEIGHT_ONE};
+use lipstream_core::servo::{Calibration, Channel, Role, STRAIGHT, WEIGHT_ONE};
 use lipstream_media::files;
 use serde::Deserialize;
 
@@ -22,7 +22,8 @@ struct Written {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct WrittenChannel {
-    role: WrittenRole,
+    #[serde(with = "WrittenRole")]
+    role: Role,
     output: u8,
     #[serde(default)]
     reversed: bool,
@@ -40,8 +41,9 @@ struct WrittenChannel {
     linkage: Option<WrittenLinkage>,
 }
 
-#[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// What serde reads a [`Role`] by.
+#[derive(Deserialize)]
+#[serde(remote = "Role", rename_all = "snake_case")]
 enum WrittenRole {
     Jaw,
     Width,
@@ -127,16 +129,8 @@ impl WrittenChannel {
             };
             viseme_weights[k] = weight(name, *number)?;
         }
-        let straight = std::array::from_fn(|k| (((k + 1) << 15) / N_CURVE) as u16);
         Ok(Channel {
-            role: match self.role {
-                WrittenRole::Jaw => Role::Jaw,
-                WrittenRole::Width => Role::Width,
-                WrittenRole::UpperLip => Role::UpperLip,
-                WrittenRole::LowerLip => Role::LowerLip,
-                WrittenRole::Tongue => Role::Tongue,
-                WrittenRole::Spare => Role::Spare,
-            },
+            role: self.role,
             output: self.output,
             reversed: self.reversed,
             lowest: pulse("lowest_us", self.lowest_us)?,
@@ -159,7 +153,7 @@ impl WrittenChannel {
                     widest_gap_mm: jaw.widest_gap_mm,
                 }
                 .curve()?,
-                None => straight,
+                None => STRAIGHT,
             },
         })
     }

@@ -151,12 +151,27 @@ pub struct Colours {
     pub chroma: Array2<f32>,
 }
 
-/// A trained model, ready to convert and to draw.
+/// A trained model, ready to convert and to draw. Its pieces can be looked at, not changed: how parts lie in each other follows from them.
 #[derive(Clone, Debug)]
 pub struct HierarchicalModel {
-    /// Areas with their landmarks named.
+    pieces: Pieces,
+    inlays: Vec<Option<(usize, Vec<usize>, compose::Inlay)>>,
+}
+
+impl std::ops::Deref for HierarchicalModel {
+    type Target = Pieces;
+
+    fn deref(&self) -> &Pieces {
+        &self.pieces
+    }
+}
+
+/// What a model is made of.
+#[derive(Clone, Debug)]
+pub struct Pieces {
+    /// Areas with their landmarks named, by [`Tree::over`].
     pub tree: Tree,
-    /// A node for each area of the tree.
+    /// A node for each area.
     pub nodes: Vec<Node>,
     /// Principal components of mel-cepstra (eq. 4 and 5).
     pub speech: Linear,
@@ -167,25 +182,6 @@ pub struct HierarchicalModel {
     /// The eigenmouths that it reads.
     pub mouth: MouthSpace,
     /// Where the model comes from. For people.
-    pub provenance: String,
-    inlays: Vec<Option<(usize, Vec<usize>, compose::Inlay)>>,
-}
-
-/// What a model is made of.
-pub struct Pieces {
-    /// Areas; [`Tree::over`] has named their landmarks.
-    pub tree: Tree,
-    /// A node for each area.
-    pub nodes: Vec<Node>,
-    /// Principal components of mel-cepstra.
-    pub speech: Linear,
-    /// Colours of the root.
-    pub colours: Colours,
-    /// See [`HierarchicalModel::reading`].
-    pub reading: Array2<f32>,
-    /// The eigenmouths that it reads.
-    pub mouth: MouthSpace,
-    /// Where the model comes from.
     pub provenance: String,
 }
 
@@ -203,9 +199,9 @@ impl HierarchicalModel {
             colours,
             reading,
             mouth,
-            provenance,
-        } = pieces;
-        let sizes_fit = std::iter::zip(&nodes, &tree.areas).all(|(node, area)| {
+            ..
+        } = &pieces;
+        let sizes_fit = std::iter::zip(nodes, &tree.areas).all(|(node, area)| {
             node.appearance.shape.size() == 2 * area.landmarks.len()
                 && node.map.appearance_size() == node.appearance.size()
                 && node.map.precision.len() == speech.modes()
@@ -246,16 +242,7 @@ impl HierarchicalModel {
                 Some((parent, places, inlay))
             })
             .collect();
-        Ok(Self {
-            tree,
-            nodes,
-            speech,
-            colours,
-            reading,
-            mouth,
-            provenance,
-            inlays,
-        })
+        Ok(Self { pieces, inlays })
     }
 
     /// Numbers of all appearances together, the root's first.

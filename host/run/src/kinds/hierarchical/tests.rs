@@ -267,7 +267,7 @@ fn a_face_is_drawn_in_the_colour_of_the_nearest_picture_and_moves() {
     let mut model = model();
     let half = model.colours.chroma.ncols() / 2;
     // The second training picture is reddish all over.
-    model.colours.chroma.slice_mut(s![1, ..half]).fill(40.0);
+    model.pieces.colours.chroma.slice_mut(s![1, ..half]).fill(40.0);
     let mut scene = HierarchicalScene::new(&model, Some(2)).unwrap();
     let (width, height) = scene.size();
     assert_eq!((width, height), (64, 80));
