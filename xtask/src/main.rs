@@ -17,6 +17,8 @@
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
 //! | `voices` | A corpus of synthetic speech with exact phone times, by `flite`. |
+use std::process::ExitCode;
+
 use anyhow::{Result, bail};
 
 mod beam;
@@ -57,7 +59,18 @@ const TOOLS: &[Tool] = &[
     ("voices", voices::run),
 ];
 
-fn main() -> Result<()> {
+/// What a tool refuses is said in a line: a stack trace would say where in this program, not what to do.
+fn main() -> ExitCode {
+    match run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("xtask: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let names = || TOOLS.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ");
     let Some((name, rest)) = words.split_first() else {

@@ -139,6 +139,43 @@ fn films_say_that_they_are_synthetic() {
 }
 
 #[test]
+fn parameters_of_another_unit_are_warned_of() {
+    let desk = Desk::new();
+    let usual = drawn::babble(&desk.space, 20);
+    desk.parameters("far.npy", &(&usual * 50.0));
+    let warnings = |input: &str| {
+        let ran = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+            .current_dir(desk.folder.path())
+            .args([
+                "render",
+                input,
+                "-m",
+                "mouth.safetensors",
+                "-o",
+                "o.mp4",
+                "--scale",
+                "1",
+            ])
+            .output()
+            .unwrap();
+        assert!(ran.status.success());
+        let said = String::from_utf8(ran.stderr).unwrap();
+        let lines: Vec<String> = said
+            .lines()
+            .filter(|l| l.starts_with("warning"))
+            .map(str::to_owned)
+            .collect();
+        lines
+    };
+    assert!(warnings("p.npy").is_empty());
+    let said = warnings("far.npy");
+    assert!(
+        said.len() == 1 && said[0].contains("far.npy are ") && said[0].contains(" times as large"),
+        "{said:?}"
+    );
+}
+
+#[test]
 fn bad_input_gets_one_line() {
     let desk = Desk::new();
     let with = |input: &'static str| [input, "-m", "mouth.safetensors", "-o", "o.mp4"];

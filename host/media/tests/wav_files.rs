@@ -307,6 +307,11 @@ fn impossible_wav_files_are_refused() {
     for (what, chunks, words) in [
         ("nothing inside", vec![], "no chunk 'fmt '"),
         ("no format", vec![data()], "no chunk 'fmt '"),
+        (
+            "the format behind the samples",
+            vec![data(), plain()],
+            "no chunk 'fmt ' before its samples at byte 20",
+        ),
         ("no data", vec![plain()], "no chunk 'data'"),
         ("no samples", vec![plain(), chunk(b"data", &[])], "no samples"),
         (

@@ -1,5 +1,5 @@
 //! The eigenmouth space (X&L section 5, eq. 12-13): mean mouth image, eigenmouths, and both ways through them.
-use ndarray::{Array1, Array2, ArrayView1, Axis};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
 use crate::error::{Result, bail};
 use crate::tensors::{Tensors, TensorsBuilder};
@@ -18,6 +18,9 @@ pub struct MouthSpace {
     /// Standard deviation of every weight over the training images, `[D]`.
     pub deviation: Array1<f32>,
 }
+
+/// Weights that move a mouth in speech are about as large as those of the training images, over a whole sound; a shout's are not so many times as large.
+const MOST_TIMES: f32 = 4.0;
 
 /// Numbers of an image that are expanded at a time.
 const BLOCK: usize = 512;
@@ -45,6 +48,20 @@ impl MouthSpace {
             }
         }
         if all > 0.0 { sum / all } else { 0.0 }
+    }
+
+    /// How many times as large as over the training images weights `[frames, D]` are (roots of mean squares), where that is far more than any speech asks for: such
+    /// weights are in another unit or of another mouth. None where it is not, or where they are not D a frame.
+    pub fn beyond(&self, weights: ArrayView2<f32>) -> Option<f32> {
+        if weights.is_empty() || weights.ncols() != self.size() {
+            return None;
+        }
+        let mean = |sum: f64| sum / weights.nrows() as f64;
+        let square = |v: &f32| f64::from(*v).powi(2);
+        let have = mean(weights.iter().map(square).sum());
+        let usual: f64 = self.deviation.iter().map(square).sum();
+        let times = (have / usual.max(f64::from(f32::MIN_POSITIVE))).sqrt() as f32;
+        (times > MOST_TIMES).then_some(times)
     }
 
     /// Weights g = Ãᵀ(I − Ī) of one image (eq. 13).
@@ -177,6 +194,19 @@ mod tests {
         }
         assert!(space.likeness(&swapped).abs() < 0.01);
         assert_eq!(space.likeness(&drawn::space(3)), 0.0);
+    }
+
+    #[test]
+    fn weights_of_another_unit_are_told() {
+        let space = drawn::space(6);
+        let usual = Array2::from_shape_fn((40, 6), |(t, k)| {
+            space.deviation[k] * 1.4 * (t as f32 * 0.7 + k as f32).sin()
+        });
+        assert_eq!(space.beyond(usual.view()), None);
+        assert_eq!(space.beyond((&usual * 3.0).view()), None);
+        let times = space.beyond((&usual * 50.0).view()).unwrap();
+        assert!((45.0..55.0).contains(&times), "{times}");
+        assert_eq!(space.beyond(Array2::from_elem((4, 5), 1e9).view()), None);
     }
 
     #[test]

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use lipstream::engine::{Engine, FloatModel, RunSettings};
+use lipstream::mouth::MouthSpace;
 use lipstream::parameters;
 use lipstream::progress::Steps;
 use lipstream::render::{self, Player, Scene};
@@ -67,7 +68,15 @@ pub(super) fn open(args: &Args, tensors: &Tensors) -> Result<(Source, Sound)> {
                 Some(path) => Kept::Samples(read_sound(path)?),
                 None => Kept::Nowhere,
             };
-            let source = Source::Parameters(parameters::read(&args.input)?);
+            let tracks = parameters::read(&args.input)?;
+            let space = MouthSpace::load(tensors)?;
+            if let Some(times) = space.beyond(tracks.view()) {
+                eprintln!(
+                    "warning: the parameters of {} are {times:.0} times as large as those of the model's mouth: the mouth will be torn apart (in another unit, or of another model?)",
+                    args.input.display()
+                );
+            }
+            let source = Source::Parameters(tracks);
             Ok((source, Sound::new(sound)?))
         }
         _ => {

@@ -54,6 +54,16 @@ fn tokens(text: &str) -> Result<Vec<(usize, Token)>> {
                 out.push((line, Token::Flag(word.to_owned())));
             } else if let Ok(number) = word.parse::<f64>() {
                 out.push((line, Token::Number(number)));
+            } else if let Some((whole, behind)) = word.split_once(',')
+                && [whole, behind]
+                    .iter()
+                    .all(|part| !part.is_empty() && part.bytes().all(|b| b.is_ascii_digit()))
+            {
+                // Passed over as commentary, it would leave all that follows one number short.
+                bail!(
+                    Data,
+                    "line {line}: {word} has a decimal comma: Praat writes a point ({whole}.{behind})"
+                );
             }
             rest = &rest[end..];
         }
@@ -417,6 +427,11 @@ item []:
             let error = chain(&labels(text).unwrap_err());
             assert!(!error.contains('\n'), "{error}");
         }
+        let comma = chain(&labels(&SHORT.replace("0\n0.5\n", "0\n0,5\n")).unwrap_err());
+        assert!(
+            comma.contains("0,5 has a decimal comma") && comma.contains("line 14"),
+            "{comma}"
+        );
         let unknown = chain(&labels(&SHORT.replace("IY1", "Q9")).unwrap_err());
         assert!(unknown.contains("q9"), "{unknown}");
     }

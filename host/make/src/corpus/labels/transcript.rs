@@ -21,7 +21,7 @@ pub fn words(text: &str) -> Vec<SpokenWord> {
         }
         match c {
             '\u{2019}' | '\u{2018}' | '`' => token.push('\''),
-            _ if c.is_alphanumeric() || c == '\'' => token.extend(c.to_lowercase()),
+            _ if is_letter(c) || c == '\'' => token.extend(c.to_lowercase()),
             // Separators inside numbers: 1,200 and 3.5.
             ',' | '.' if token.ends_with(|d: char| d.is_ascii_digit()) => token.push(c),
             _ => {
@@ -38,14 +38,43 @@ pub fn words(text: &str) -> Vec<SpokenWord> {
                 if let Some((_, word)) = SIGNS.iter().find(|(sign, _)| *sign == c) {
                     finish(word, &mut out);
                 }
+                if let Some((_, said)) = FRACTIONS.iter().find(|(sign, _)| *sign == c) {
+                    let before = text[..at].iter().rfind(|c| !c.is_whitespace());
+                    if before.is_some_and(char::is_ascii_digit) {
+                        finish("and", &mut out);
+                    }
+                    said.iter().for_each(|word| finish(word, &mut out));
+                }
             }
         }
     }
     out
 }
 
+/// Whether a word can hold it. A fraction in one sign is numeric to Unicode, but words of its own.
+fn is_letter(c: char) -> bool {
+    c.is_alphanumeric() && !FRACTIONS.iter().any(|(sign, _)| *sign == c)
+}
+
 /// Signs that are said.
-const SIGNS: [(char, &str); 3] = [('&', "and"), ('%', "percent"), ('=', "equals")];
+const SIGNS: [(char, &str); 7] = [
+    ('&', "and"),
+    ('%', "percent"),
+    ('=', "equals"),
+    ('+', "plus"),
+    ('@', "at"),
+    ('\u{d7}', "times"),
+    ('\u{b0}', "degrees"),
+];
+
+/// Fractions in one sign. Behind a number they are said with "and": "two and a half".
+const FRACTIONS: [(char, &[&str]); 5] = [
+    ('\u{bd}', &["a", "half"]),
+    ('\u{bc}', &["a", "quarter"]),
+    ('\u{be}', &["three", "quarters"]),
+    ('\u{2153}', &["a", "third"]),
+    ('\u{2154}', &["two", "thirds"]),
+];
 
 fn finish(token: &str, out: &mut Vec<SpokenWord>) {
     let mut push = |text: &str| {
@@ -316,6 +345,14 @@ mod tests {
         assert_eq!(
             spoken("salt & pepper, 50 % of it"),
             "salt and pepper fifty percent of it"
+        );
+        assert_eq!(
+            spoken("1 + 2 at 30\u{b0}, 3\u{d7}4; c++"),
+            "one plus two at thirty degrees three times four c plus plus"
+        );
+        assert_eq!(
+            spoken("\u{bd} cup, 2\u{bd} or 3 \u{be} spoons, not \u{2153}."),
+            "a half cup two and a half or three and three quarters spoons not a third"
         );
     }
 

@@ -87,7 +87,10 @@ impl<'a> Wav<'a> {
             }
         };
         let Some(format) = format else {
-            return without("fmt ");
+            return damaged(format!(
+                "damaged WAV file: there is no chunk 'fmt ' before its samples at byte {}, which says how they are written",
+                input.at()
+            ));
         };
         let block = format.block() as u64;
         if let Some(odd) = left.filter(|left| left % block != 0) {
