@@ -20,11 +20,13 @@ fn said<'m, K: Kind<'m>>(model: &'m Model<'m, K>, settings: StreamSettings) -> V
     frames
 }
 
-/// A recurrent model of random numbers, both of whose chains own everything that they can.
+/// A recurrent model of random numbers, both of whose chains own everything that they can, with a second memory.
 fn recurrent(rng: &mut Pcg64) -> RecurrentModel {
     let mut parent = model(&Sizes::small(), 2.0, rng);
     parent.start_mean.fill(0.0);
-    synthetic::recurrent(parent, 5, Feedback::Output, Gate::Both, Gate::Visual, rng)
+    let mut model = synthetic::recurrent(parent, 5, Feedback::Output, Gate::Both, Gate::Visual, rng);
+    model.gated = Some(synthetic::second_memory(&model, 10, rng));
+    model
 }
 
 pub(crate) fn run(_: &[String]) -> anyhow::Result<()> {

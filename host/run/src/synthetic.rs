@@ -9,6 +9,7 @@ use crate::hmm::system::System;
 use crate::hmm::topology::Topology;
 use crate::kinds::likelihood::{ContextMap, EmSettings, Following, LocalLinear, Model};
 use crate::kinds::recurrent::context::Context;
+use crate::kinds::recurrent::gated::{Gated, GatedShape, PARTS, Part};
 use crate::kinds::recurrent::model::RecurrentModel;
 use crate::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use crate::phones::{Phone, VISEMES};
@@ -163,9 +164,27 @@ pub fn recurrent(
         least: 1e-4,
         validation_amse: None,
         provenance: "random numbers".to_owned(),
+        gated: None,
         parent,
         parameters,
     }
+}
+
+/// A second memory of `memory` random numbers for `model`.
+pub fn second_memory(model: &RecurrentModel, memory: usize, rng: &mut impl Rng) -> Gated {
+    let shape = &model.parameters.shape;
+    let mut gated = Gated::zeros(GatedShape {
+        inputs: shape.inputs,
+        memory,
+        outputs: shape.outputs,
+        phones: 0,
+    });
+    for part in PARTS {
+        fill_normal(gated.of_mut(part), 0.0, 0.3, rng);
+    }
+    gated.of_mut(Part::First).iter_mut().for_each(|h| *h = h.tanh());
+    gated.share = 0.4;
+    gated
 }
 
 /// Natural logs of random distributions, one a row, every probability at least `least`/columns.

@@ -44,11 +44,13 @@ fn another_kind_of_tables_is_refused_in_words() {
     ));
 }
 
-/// A model of random numbers of the sizes that trained ones have.
+/// A model of random numbers of the sizes that trained ones have, with a second memory.
 fn model(feedback: Feedback, maps: Gate, rates: Gate, seed: u64) -> RecurrentModel {
     let rng = &mut Pcg64::seed_from_u64(seed);
     let parent = synthetic::model(&Sizes::small(), 2.0, rng);
-    synthetic::recurrent(parent, OUTPUTS, feedback, maps, rates, rng)
+    let mut model = synthetic::recurrent(parent, OUTPUTS, feedback, maps, rates, rng);
+    model.gated = Some(synthetic::second_memory(&model, 9, rng));
+    model
 }
 
 fn tables(model: &RecurrentModel) -> Vec<u8> {

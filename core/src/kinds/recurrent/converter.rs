@@ -3,6 +3,7 @@
 //! It hears statics only (its context knows how they change), and nothing waits but the context.
 use super::context::{Means, project};
 use super::follower::Follower;
+use super::gated::GatedMemory;
 use super::memory::Memory;
 use super::occupancy::Occupancy;
 use super::settle::settle;
@@ -45,6 +46,7 @@ pub struct Converter<'m, const ROOM: usize> {
     history: History,
     means: Means,
     memory: Memory,
+    gated: GatedMemory,
     /// Whether the memory has been put where a stream begins.
     begun: bool,
     /// Frames given out, modulo 2³².
@@ -70,6 +72,7 @@ impl<'m, const ROOM: usize> Convert<'m, Recurrent<'m>> for Converter<'m, ROOM> {
             history: History::new(),
             means: Means::new(),
             memory: Memory::new(),
+            gated: GatedMemory::new(),
             begun: false,
             given: 0,
             shown: heapless::Vec::new(),
@@ -120,6 +123,7 @@ impl<'m, const ROOM: usize> Convert<'m, Recurrent<'m>> for Converter<'m, ROOM> {
         }
         if !self.begun {
             self.memory.reset(model);
+            self.gated.reset(model.gated());
             self.begun = true;
         }
         let z = project(model, &self.history, &self.means, self.given);
@@ -130,6 +134,9 @@ impl<'m, const ROOM: usize> Convert<'m, Recurrent<'m>> for Converter<'m, ROOM> {
         let audio = Gates::choose(&occupancy.audio);
         let visual = Gates::choose(&occupancy.visual);
         let mut values = self.memory.step(model, z, &audio, &visual);
+        if let Some(gated) = model.gated() {
+            self.gated.step(gated, self.given, z, &mut values);
+        }
         if self.run.settle {
             settle(&self.shown, &mut values);
             self.shown.clone_from(&values);

@@ -10,7 +10,8 @@
 //! w = Σγ G,  r = Σγ R,  λ = Σγ Λ                                 [`memory`]
 //! h_t = h_{t−1} + λ∘(V_d z_t ∘ w + r − h_{t−1})
 //! ŷ_t = W₀ z_t + b₀ + Σγ B + O h_t
-//! s_t = s_{t−1} + k_t·(ŷ_t − s_{t−1})                            [`settle`]
+//! y_t = (1 − s) ŷ_t + s ĝ_t                                      [`gated`], where there is a second memory
+//! s_t = s_{t−1} + k_t·(y_t − s_{t−1})                            [`settle`]
 //! ```
 //!
 //! V is in i16, as its columns are strongly correlated; every other matrix in i8 ([`rows`]). Sums over states take the
@@ -20,6 +21,7 @@
 pub mod context;
 pub mod converter;
 pub mod follower;
+pub mod gated;
 pub mod memory;
 pub mod occupancy;
 pub mod rate;
@@ -36,7 +38,7 @@ use crate::hmm::HmmTables;
 use crate::model::container::Sections;
 use crate::model::{Head, I16s, ModelError};
 use crate::settings::Setting;
-use tables::{Blocks, Gate, GateTables, OwnSettings, Rows};
+use tables::{Blocks, Gate, GateTables, GatedTables, OwnSettings, Rows};
 
 /// Active joint states that a device's stream has room for, and keeps at most unless the settings say otherwise: the bound on the
 /// work of the worst frame.
@@ -56,6 +58,7 @@ pub struct Recurrent<'a> {
     memory: Blocks<'a>,
     audio_gates: GateTables<'a>,
     visual_gates: GateTables<'a>,
+    gated: Option<GatedTables<'a>>,
     first_memory: I16s<'a>,
     n_parameters: usize,
     n_fed_back: usize,
@@ -161,6 +164,12 @@ impl<'a> Recurrent<'a> {
     #[inline]
     pub fn visual_gate(&self, state: usize) -> Gate<'a> {
         self.visual_gates.of(state)
+    }
+
+    /// The second memory, where there is one.
+    #[inline]
+    pub fn gated(&self) -> Option<&GatedTables<'a>> {
+        self.gated.as_ref()
     }
 
     /// The memory before the first frame, Q5.10 `[H]`.

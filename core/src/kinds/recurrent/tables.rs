@@ -49,6 +49,36 @@ pub const VISUAL_GATES: Section = Section::new(0x2011, "VisualGates");
 pub const VISUAL_GATE_SCALE: Section = Section::new(0x2012, "VisualGateScale");
 /// i16 `[H]`, Q5.10: the memory before the first frame.
 pub const FIRST_MEMORY: Section = Section::new(0x2013, "FirstMemory");
+/// W_g: i8 `[3K][Z]` in blocks, what the second memory's resets, updates and news hear, see [`super::gated`]. This and the following sections are
+/// there only if [`OwnSettings::share`] is not 0.
+pub const GATED_INPUT_WEIGHTS: Section = Section::new(0x2014, "GatedInputWeights");
+/// i32 `[3K]`: scales of W_g's rows.
+pub const GATED_INPUT_SCALE: Section = Section::new(0x2015, "GatedInputScale");
+/// i32 `[3K]`, LSB 2⁻¹².
+pub const GATED_INPUT_BIAS: Section = Section::new(0x2016, "GatedInputBias");
+/// R_g: i8 `[3K][K]` in blocks, what they take from the memory before.
+pub const GATED_AGAIN_WEIGHTS: Section = Section::new(0x2017, "GatedAgainWeights");
+/// i32 `[3K]`: scales of R_g's rows.
+pub const GATED_AGAIN_SCALE: Section = Section::new(0x2018, "GatedAgainScale");
+/// i32 `[3K]`, LSB 2⁻¹².
+pub const GATED_AGAIN_BIAS: Section = Section::new(0x2019, "GatedAgainBias");
+/// s·O_g: i8 `[D][K]` in blocks, the share of the mouth that the second memory says.
+pub const GATED_OUTPUT_WEIGHTS: Section = Section::new(0x201a, "GatedOutputWeights");
+/// i32 `[D]`: scales of its rows.
+pub const GATED_OUTPUT_SCALE: Section = Section::new(0x201b, "GatedOutputScale");
+/// i32 `[D]`, Q10.
+pub const GATED_OUTPUT_BIAS: Section = Section::new(0x201c, "GatedOutputBias");
+/// s·O'_g: i8 `[D][K]` in blocks, what the second memory says of the frame after.
+pub const GATED_LATER_WEIGHTS: Section = Section::new(0x201d, "GatedLaterWeights");
+/// i32 `[D]`: scales of its rows.
+pub const GATED_LATER_SCALE: Section = Section::new(0x201e, "GatedLaterScale");
+/// i32 `[D]`, Q10.
+pub const GATED_LATER_BIAS: Section = Section::new(0x201f, "GatedLaterBias");
+/// i16 `[K]`, Q1.14: the second memory before the first frame.
+pub const GATED_FIRST: Section = Section::new(0x2020, "GatedFirst");
+
+/// Most numbers of the second memory.
+pub const MAX_GATED: usize = 128;
 
 /// Most numbers of a memory.
 pub const MAX_MEMORY: usize = 192;
@@ -67,7 +97,9 @@ pub mod settings {
     pub const BEAM: usize = 0;
     /// u16, bits of [`owns`](super::owns)
     pub const OWNS: usize = 4;
-    /// Bytes of the section; the last two are zero.
+    /// u16, Q0.16: share of the second memory in the mouth; 0 where there is none
+    pub const SHARE: usize = 6;
+    /// Bytes of the section.
     pub const SIZE: usize = 8;
 }
 
@@ -94,6 +126,8 @@ pub struct OwnSettings {
     pub beam: LogProb,
     /// Bits of [`owns`].
     pub owns: u16,
+    /// Share of the second memory in the mouth, Q0.16; 0: the model has none.
+    pub share: u16,
 }
 
 impl OwnSettings {
@@ -105,6 +139,7 @@ impl OwnSettings {
         Ok(Self {
             beam: LogProb::from_q12(beam as i32),
             owns,
+            share: u16_at(bytes, settings::SHARE),
         })
     }
 
@@ -117,7 +152,7 @@ impl OwnSettings {
 /// Writes [`SETTINGS`]; the fields in the order of the offsets in [`settings`].
 pub fn put_settings(to: &mut impl Extend<u8>, own: &OwnSettings) {
     put_i32s(to, [own.beam.q12()]);
-    put_u16s(to, [own.owns, 0]);
+    put_u16s(to, [own.owns, own.share]);
 }
 
 /// Rows, and columns of each, that lie together in a matrix in blocks: [`BLOCK`]² bytes are four columns of four rows, row
@@ -183,6 +218,36 @@ impl Matrix {
         weights: MEMORY_WEIGHTS,
         scale: MEMORY_SCALE,
         bias: None,
+        in_blocks: true,
+    };
+
+    /// W_g, in blocks: what the second memory hears of z.
+    pub const GATED_INPUT: Self = Self {
+        weights: GATED_INPUT_WEIGHTS,
+        scale: GATED_INPUT_SCALE,
+        bias: Some(GATED_INPUT_BIAS),
+        in_blocks: true,
+    };
+    /// R_g, in blocks: what the second memory takes from itself.
+    pub const GATED_AGAIN: Self = Self {
+        weights: GATED_AGAIN_WEIGHTS,
+        scale: GATED_AGAIN_SCALE,
+        bias: Some(GATED_AGAIN_BIAS),
+        in_blocks: true,
+    };
+    /// s·O_g, in blocks: what the second memory says.
+    pub const GATED_OUTPUT: Self = Self {
+        weights: GATED_OUTPUT_WEIGHTS,
+        scale: GATED_OUTPUT_SCALE,
+        bias: Some(GATED_OUTPUT_BIAS),
+        in_blocks: true,
+    };
+
+    /// s·O'_g, in blocks: what the second memory says of the frame after.
+    pub const GATED_LATER: Self = Self {
+        weights: GATED_LATER_WEIGHTS,
+        scale: GATED_LATER_SCALE,
+        bias: Some(GATED_LATER_BIAS),
         in_blocks: true,
     };
 
@@ -341,6 +406,52 @@ impl<'a> Blocks<'a> {
     }
 }
 
+/// The second memory, see [`super::gated`].
+#[derive(Clone, Copy, Debug)]
+pub struct GatedTables<'a> {
+    /// W_g and b_g: rows of resets, of updates, of news.
+    pub input: Blocks<'a>,
+    /// R_g and its biases, in the same order.
+    pub again: Blocks<'a>,
+    /// s·O_g and its biases for the frame of a step, and for the frame after.
+    pub output: [Blocks<'a>; 2],
+    /// The memory before the first frame, Q1.14 `[K]`.
+    pub first: I16s<'a>,
+    /// s, Q0.16.
+    pub share: u16,
+}
+
+impl<'a> GatedTables<'a> {
+    /// `None` where the model has no second memory.
+    fn read(
+        sections: &mut Sections<'a>,
+        share: u16,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Option<Self>, ModelError> {
+        if share == 0 {
+            return Ok(None);
+        }
+        let (first, k) = sections.take_items(GATED_FIRST, 2, MAX_GATED)?;
+        Ok(Some(Self {
+            input: Blocks::take(sections, Matrix::GATED_INPUT, 3 * k, inputs)?,
+            again: Blocks::take(sections, Matrix::GATED_AGAIN, 3 * k, k)?,
+            output: [
+                Blocks::take(sections, Matrix::GATED_OUTPUT, outputs, k)?,
+                Blocks::take(sections, Matrix::GATED_LATER, outputs, k)?,
+            ],
+            first: I16s(first),
+            share,
+        }))
+    }
+
+    /// K, numbers in the second memory.
+    #[inline]
+    pub fn size(&self) -> usize {
+        self.first.iter().count()
+    }
+}
+
 /// What one state brings to the memory and to the mouth. Slices are empty where the chain does not own them.
 #[derive(Clone, Copy, Debug)]
 pub struct Gate<'a> {
@@ -422,7 +533,7 @@ pub fn put_mean_shifts(to: &mut impl Extend<u8>, shifts: impl IntoIterator<Item 
     to.extend(shifts);
 }
 
-/// Writes [`FIRST_MEMORY`], Q5.10.
+/// Writes [`FIRST_MEMORY`], Q5.10, or [`GATED_FIRST`], Q1.14.
 pub fn put_first_memory(to: &mut impl Extend<u8>, memory: impl IntoIterator<Item = i16>) {
     put_i16s(to, memory);
 }
@@ -473,6 +584,7 @@ pub(super) fn read<'a>(sections: &mut Sections<'a>, head: &Head<'a>) -> Result<R
         context,
         settings,
         mean_shifts,
+        gated: GatedTables::read(sections, settings.share, z, d)?,
         first_memory: I16s(first_memory),
         n_parameters: d,
         n_fed_back,

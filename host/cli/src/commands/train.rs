@@ -147,7 +147,7 @@ fn whole(args: Args) -> Result<()> {
     let adapts = matches!(
         (args.method, &from),
         (Method::Likelihood, Some(_)) | (Method::Mge, Some(FloatModel::Recurrent(_)))
-    );
+    ) && !args.mge.adds_memory();
     if adapts && !heard.is_empty() {
         bail!("a model that is adapted goes on hearing as it does: leave out --audio");
     }

@@ -11,6 +11,7 @@ use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::mge::adapt::adapt;
 use lipstream_make::mge::data::Beside;
+use lipstream_make::mge::second;
 use lipstream_make::mge::settings::MgeTrainSettings;
 use lipstream_make::mge::train::train;
 
@@ -40,6 +41,10 @@ pub(crate) struct Args {
     /// Numbers in the memory
     #[arg(long, default_value_t = MgeTrainSettings::default().memory)]
     memory: usize,
+    /// Give the model of --from, which is trained on the error of its mouth already, a second memory of so many numbers, a gated recurrent unit whose
+    /// mouth is averaged with the first one's, and leave all else as it is. The clips and --audio are to be those of the model
+    #[arg(long, value_name = "K", requires = "from")]
+    second_memory: Option<usize>,
     /// What the mouth feeds into the visual emissions
     #[arg(long, value_enum, default_value_t = MgeTrainSettings::default().feedback.into())]
     feedback: choices::Feedback,
@@ -118,7 +123,7 @@ impl Args {
             passes: self.passes,
             batch: self.batch,
             inputs: self.inputs,
-            memory: self.memory,
+            memory: self.second_memory.unwrap_or(self.memory),
             feedback: self.feedback.into(),
             maps: self.maps.into(),
             rates: self.rates.into(),
@@ -160,6 +165,13 @@ pub(crate) enum Start {
     Recurrent(Box<RecurrentModel>),
 }
 
+impl Args {
+    /// Whether the model of `--from` gets a second memory, and keeps its mouth.
+    pub(crate) fn adds_memory(&self) -> bool {
+        self.second_memory.is_some()
+    }
+}
+
 /// Trains from a model and writes `output`; the checkpoint lies beside it while training lasts.
 pub(crate) fn run(
     args: &Args,
@@ -185,13 +197,22 @@ pub(crate) fn run(
     }
     let settings = args.settings(clips, seed);
     let progress = Terminal::default();
+    let beside = || -> Result<Beside> {
+        let watched = args.watched.iter().map(|path| FeatureFolder::open(path));
+        Ok(Beside {
+            heard,
+            watched: watched.collect::<Result<_, _>>()?,
+        })
+    };
     let model = match from {
+        Start::Likelihood(_) if args.second_memory.is_some() => {
+            bail!("a second memory stands beside a first: give --from a model that `train --train mge` wrote")
+        }
+        Start::Recurrent(model) if args.second_memory.is_some() => {
+            second::train(folder, &beside()?, model, &settings, Some(&checkpoint), &progress)?
+        }
         Start::Likelihood(parent) => {
-            let watched = args.watched.iter().map(|path| FeatureFolder::open(path));
-            let beside = Beside {
-                heard,
-                watched: watched.collect::<Result<_, _>>()?,
-            };
+            let beside = beside()?;
             train(folder, &beside, parent, &settings, Some(&checkpoint), &progress)?
         }
         Start::Recurrent(_) if !args.watched.is_empty() => {

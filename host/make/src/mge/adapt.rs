@@ -3,6 +3,7 @@
 //! What hears stays: projection, emissions, transitions, the memory's gains, drives and rates, which have heard many speakers. What the mouth is
 //! made of is learnt anew from the new person's video: first the global map W₀ by least squares on the model's own inputs z, then everything that
 //! is added up into the mouth, by the error of the mouth through the recursion (M10 without its cross-entropies). No labels are needed.
+//! A second memory is left out: it would need clips of its own ([`second`](super::second)).
 use std::path::Path;
 
 use nalgebra::DMatrix;
@@ -80,6 +81,9 @@ pub fn adapt(
             folder.root.display(),
             folder.manifest.visual_size
         );
+    }
+    if model.gated.is_some() {
+        progress.say("the model's second memory is left out: it speaks another person's mouth");
     }
     let parent = twin(folder, &model.parent, base, progress)?;
     let clips = folder.split(Split::Train).count();

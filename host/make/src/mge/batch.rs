@@ -1,7 +1,7 @@
 //! Batches: which pieces of which clips, what is added to them, their loss (M10) and its gradient.
 use crate::error::Result;
 use lipstream_core::N_STATIC;
-use ndarray::{Array1, Array2, ArrayBase, ArrayView1, Data, Ix2};
+use ndarray::{Array1, Array2, ArrayBase, ArrayView1, ArrayView2, Data, Ix2};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -36,7 +36,7 @@ pub(super) struct Trainer<'a> {
 
 /// What a clip is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Of {
+pub(super) enum Of {
     /// The person whose mouth is trained.
     Person,
     /// Others, whose sound alone is known.
@@ -47,14 +47,22 @@ enum Of {
 
 /// Frames of a batch, by what they are for.
 #[derive(Clone, Copy, Debug, Default)]
-struct Counts {
+pub(super) struct Counts {
     person: usize,
     heard: usize,
     watched: usize,
 }
 
 impl Counts {
-    fn of(&mut self, of: Of) -> &mut usize {
+    pub(super) fn of(self, of: Of) -> usize {
+        match of {
+            Of::Person => self.person,
+            Of::Heard => self.heard,
+            Of::Watched => self.watched,
+        }
+    }
+
+    fn of_mut(&mut self, of: Of) -> &mut usize {
         match of {
             Of::Person => &mut self.person,
             Of::Heard => &mut self.heard,
@@ -65,10 +73,10 @@ impl Counts {
 
 /// Which piece of which clip.
 #[derive(Clone, Copy, Debug)]
-struct Piece {
+pub(super) struct Piece {
     /// Index into the clips of its kind.
     clip: usize,
-    of: Of,
+    pub(super) of: Of,
     /// The clip disturbed; none: as it is.
     variant: Option<usize>,
     /// Frames of future that are known.
@@ -76,7 +84,17 @@ struct Piece {
     /// First frame, frames of the clip (or of its variant) per frame of the piece, and frames of the piece.
     from: f32,
     speed: f32,
-    frames: usize,
+    pub(super) frames: usize,
+}
+
+/// A piece as it is heard.
+pub(super) struct Heard {
+    /// Contexts without their mean `[T, C]`.
+    pub(super) context: Array2<f32>,
+    /// Audio and visual state of every frame.
+    pub(super) targets: Vec<(usize, usize)>,
+    /// `[T, D]`, standardised; of other people their lip gap, `[T, 1]`.
+    pub(super) mouth: Option<Array2<f32>>,
 }
 
 impl Piece {
@@ -177,8 +195,8 @@ impl Trainer<'_> {
         Pcg64::seed_from_u64(self.settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (stream << 56) ^ at)
     }
 
-    /// Loss and gradient of one piece, already divided by the batch's frames of its kind.
-    fn learn(&self, net: &Net, piece: &Piece, mut frames: Counts, rng: &mut Pcg64) -> Result<Share> {
+    /// The sound of one piece with noise on it, and what is known of it.
+    pub(super) fn hear(&self, piece: &Piece, rng: &mut Pcg64) -> Result<Heard> {
         let settings = self.settings;
         let clip = self.clips(piece.of).get(piece.clip)?;
         let (of, first) = match piece.variant {
@@ -193,23 +211,7 @@ impl Trainer<'_> {
                 *x += s + settings.frame_noise * normal(rng);
             }
         }
-        let mut mask = |n: usize, share: f32| -> Vec<f32> {
-            let keep = 1.0 / (1.0 - share);
-            (0..n)
-                .map(|_| if rng.random::<f32>() < share { 0.0 } else { keep })
-                .collect()
-        };
-        let shape = &net.p.shape;
-        let masks = Masks {
-            output: mask(shape.memory, settings.output_dropout),
-            feedback: mask(shape.fed_back(), settings.feedback_dropout),
-        };
-        let context = centred(
-            &settings.context.stack_within(&x, piece.frames, piece.ahead),
-            &self.context_mean,
-        );
-        let tape = Tape::forward(net, context, masks);
-        let targets: Vec<(usize, usize)> = (0..piece.frames)
+        let targets = (0..piece.frames)
             .map(|t| {
                 let (before, after, share) = piece.place(t, length);
                 let place = first + if share < 0.5 { before } else { after };
@@ -217,35 +219,40 @@ impl Trainer<'_> {
                 clip.states[place.min(clip.states.len() - 1)]
             })
             .collect();
-        let mut g_output = Array2::zeros((piece.frames, shape.outputs));
+        let mouth = clip.mouth.as_ref();
+        Ok(Heard {
+            context: centred(
+                &settings.context.stack_within(&x, piece.frames, piece.ahead),
+                &self.context_mean,
+            ),
+            targets,
+            mouth: mouth.map(|mouth| piece.cut(&held(mouth, first, length), piece.frames)),
+        })
+    }
+
+    /// By how much `said` `[T, D]`, the mouth of a piece, is wrong, summed over its frames; the gradient, divided by the batch's `n` frames of its kind, is added to `pull`.
+    pub(super) fn wrong(
+        &self,
+        piece: &Piece,
+        heard: &Heard,
+        said: ArrayView2<f32>,
+        n: f32,
+        pull: &mut Array2<f32>,
+    ) -> f64 {
+        let settings = self.settings;
         let mut error = 0.0;
-        let n = *frames.of(piece.of) as f32;
-        let (audio, visual) = match piece.of {
-            Of::Person => (settings.audio_entropy, settings.visual_entropy),
-            Of::Heard => (settings.heard_entropy, 0.0),
-            Of::Watched => (0.0, 0.0),
-        };
-        let entropy = Entropy {
-            audio: audio / n,
-            visual: visual / n,
-            atoms: settings.atoms,
-        };
-        let mouth = clip
-            .mouth
-            .as_ref()
-            .map(|mouth| piece.cut(&held(mouth, first, length), piece.frames));
         if let (Some(gap), Of::Person | Of::Heard) = (&self.data.gap, piece.of)
             && settings.closure_error > 0.0
         {
-            let filmed = mouth.as_ref().filter(|_| piece.of == Of::Person);
-            let wrong = gap.wrong(tape.output.view(), filmed.map(|mouth| mouth.view()), &targets);
+            let filmed = heard.mouth.as_ref().filter(|_| piece.of == Of::Person);
+            let wrong = gap.wrong(said, filmed.map(|mouth| mouth.view()), &heard.targets);
             for (t, e) in wrong.iter().enumerate() {
                 error += f64::from(settings.closure_error * e * e);
-                let pull = 2.0 * settings.closure_error * e / n;
-                g_output.row_mut(t).scaled_add(pull, &gap.slopes());
+                let by = 2.0 * settings.closure_error * e / n;
+                pull.row_mut(t).scaled_add(by, &gap.slopes());
             }
         }
-        match (mouth, piece.of, &self.data.gap) {
+        match (&heard.mouth, piece.of, &self.data.gap) {
             (Some(mouth), Of::Person | Of::Heard, _) => {
                 let share = match piece.of {
                     Of::Heard => settings.taught_error,
@@ -254,68 +261,126 @@ impl Trainer<'_> {
                 for t in 0..piece.frames {
                     for (d, w) in self.weights.iter().enumerate() {
                         let w = share * w;
-                        let e = tape.output[[t, d]] - mouth[[t, d]];
+                        let e = said[[t, d]] - mouth[[t, d]];
                         error += f64::from(w * e * e);
-                        g_output[[t, d]] += 2.0 * w * e / n;
+                        pull[[t, d]] += 2.0 * w * e / n;
                     }
                 }
             }
             (Some(mouth), Of::Watched, Some(gap)) => {
                 let gap = gap.slopes();
-                let wrong = gap_error(tape.output.dot(&gap).view(), mouth.column(0));
+                let wrong = gap_error(said.dot(&gap).view(), mouth.column(0));
                 for (t, e) in wrong.iter().enumerate() {
                     error += f64::from(settings.lip_error * e * e);
-                    let pull = 2.0 * settings.lip_error * e / n;
-                    g_output.row_mut(t).scaled_add(pull, &gap);
+                    let by = 2.0 * settings.lip_error * e / n;
+                    pull.row_mut(t).scaled_add(by, &gap);
                 }
             }
             _ => {}
         }
+        error
+    }
+
+    /// Weights of the cross-entropies of audio and visual states in pieces of this kind.
+    pub(super) fn entropies(&self, of: Of) -> (f32, f32) {
+        let settings = self.settings;
+        match of {
+            Of::Person => (settings.audio_entropy, settings.visual_entropy),
+            Of::Heard => (settings.heard_entropy, 0.0),
+            Of::Watched => (0.0, 0.0),
+        }
+    }
+
+    /// Loss and gradient of one piece, already divided by the batch's frames of its kind.
+    fn learn(&self, net: &Net, piece: &Piece, frames: Counts, rng: &mut Pcg64) -> Result<Share> {
+        let settings = self.settings;
+        let heard = self.hear(piece, rng)?;
+        let shape = &net.p.shape;
+        let masks = Masks {
+            output: mask(shape.memory, settings.output_dropout, rng),
+            feedback: mask(shape.fed_back(), settings.feedback_dropout, rng),
+        };
+        let n = frames.of(piece.of) as f32;
+        let (audio, visual) = self.entropies(piece.of);
+        let entropy = Entropy {
+            audio: audio / n,
+            visual: visual / n,
+            atoms: settings.atoms,
+        };
+        let tape = Tape::forward(net, heard.context.clone(), masks);
+        let mut g_output = Array2::zeros((piece.frames, shape.outputs));
+        let error = self.wrong(piece, &heard, tape.output.view(), n, &mut g_output);
         let mut gradient = Parameters::zeros(shape);
-        tape.reverse(net, &g_output, Some(&targets), entropy, &mut gradient);
+        tape.reverse(net, &g_output, Some(&heard.targets), entropy, &mut gradient);
         // One clip in which a state hangs by a thread must not steer the whole batch.
         gradient.cut(settings.rule.clip);
         Ok(Share {
             gradient,
             error: error / f64::from(n),
-            entropy: cross_entropy(&tape, &targets, entropy),
+            entropy: cross_entropy(&tape, &heard.targets, entropy),
         })
+    }
+
+    /// The pieces of a step, and their frames by what they are for.
+    pub(super) fn counted_pieces(&self, step: usize) -> (Vec<Piece>, Counts) {
+        let pieces = self.pieces(step);
+        let mut frames = Counts::default();
+        for piece in &pieces {
+            *frames.of_mut(piece.of) += piece.frames;
+        }
+        (pieces, frames)
+    }
+
+    /// Gradient and losses of every piece of a step, in their order, in groups, so that not every gradient of the batch lies in memory at once.
+    pub(super) fn in_groups<T: Send>(
+        &self,
+        pieces: &[Piece],
+        step: usize,
+        learn: impl Fn(&Piece, &mut Pcg64) -> Result<T> + Sync,
+        mut add: impl FnMut(T),
+    ) -> Result<()> {
+        for (group, pieces) in pieces.chunks(GROUP).enumerate() {
+            let shares: Vec<T> = pieces
+                .par_iter()
+                .enumerate()
+                .map(|(i, piece)| {
+                    let place = (step as u64) << 16 | (group * GROUP + i) as u64;
+                    learn(piece, &mut self.random(4, place))
+                })
+                .collect::<Result<_>>()?;
+            shares.into_iter().for_each(&mut add);
+        }
+        Ok(())
     }
 
     /// Gradient and losses of a step.
     pub(super) fn batch(&self, parameters: &Parameters, step: usize) -> Result<Share> {
-        let pieces = self.pieces(step);
-        let mut frames = Counts::default();
-        for piece in &pieces {
-            *frames.of(piece.of) += piece.frames;
-        }
+        let (pieces, frames) = self.counted_pieces(step);
         let net = Net::new(parameters, &self.chain, LEAST);
         let mut total = Share {
             gradient: Parameters::zeros(&parameters.shape),
             error: 0.0,
             entropy: 0.0,
         };
-        // In groups, so that not every gradient of the batch lies in memory at once.
-        for (group, pieces) in pieces.chunks(GROUP).enumerate() {
-            let shares: Vec<Share> = pieces
-                .par_iter()
-                .enumerate()
-                .map(|(i, piece)| {
-                    let place = (step as u64) << 16 | (group * GROUP + i) as u64;
-                    self.learn(&net, piece, frames, &mut self.random(4, place))
-                })
-                .collect::<Result<_>>()?;
-            for share in shares {
-                let sum = &mut total.gradient.values;
-                sum.iter_mut()
-                    .zip(&share.gradient.values)
-                    .for_each(|(a, b)| *a += b);
-                total.error += share.error;
-                total.entropy += share.entropy;
-            }
-        }
+        let learn = |piece: &Piece, rng: &mut Pcg64| self.learn(&net, piece, frames, rng);
+        self.in_groups(&pieces, step, learn, |share: Share| {
+            let sum = &mut total.gradient.values;
+            sum.iter_mut()
+                .zip(&share.gradient.values)
+                .for_each(|(a, b)| *a += b);
+            total.error += share.error;
+            total.entropy += share.entropy;
+        })?;
         Ok(total)
     }
+}
+
+/// A factor for each of `n` numbers: 0 for a `share` of them, drawn by `rng`, and what keeps the mean for the others.
+pub(super) fn mask(n: usize, share: f32, rng: &mut Pcg64) -> Vec<f32> {
+    let keep = 1.0 / (1.0 - share);
+    (0..n)
+        .map(|_| if rng.random::<f32>() < share { 0.0 } else { keep })
+        .collect()
 }
 
 /// `frames` rows from row `first` on; the last one is held where there are no more.

@@ -4,9 +4,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::pass::{Entropy, Masks, Tape, cross_entropy};
+use super::second::GatedTape;
 use lipstream::hmm::joint::N_EMITTING;
 use lipstream::kinds::recurrent::chain::{Chain, ROWS, VISUAL};
 use lipstream::kinds::recurrent::context::Context;
+use lipstream::kinds::recurrent::gated::{Gated, GatedShape, PARTS};
 use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use lipstream::kinds::recurrent::step::Net;
 use lipstream::random::{fill_normal, normal};
@@ -192,5 +194,55 @@ fn occupancies_sum_to_one() {
     for t in 0..tape.frames {
         assert!((tape.audio.row(t).sum() - 1.0).abs() < 1e-5);
         assert!((tape.visual.row(t).sum() - 1.0).abs() < 1e-5);
+    }
+}
+
+#[test]
+fn the_second_memory_has_the_right_gradient() {
+    let shape = GatedShape {
+        inputs: 4,
+        memory: 5,
+        outputs: 3,
+        phones: 6,
+    };
+    let mut rng = Pcg64::seed_from_u64(12);
+    let mut gated = Gated::zeros(shape);
+    fill_normal(&mut gated.values, 0.0, 0.5, &mut rng);
+    // An odd number of frames: the last step has no frame after it.
+    let z = Array2::from_shape_fn((13, 4), |_| normal(&mut rng));
+    let mouth = Array2::from_shape_fn((13, 3), |_| normal(&mut rng));
+    let phones: Vec<usize> = (0..7).map(|_| rng.random_range(0..6)).collect();
+    let keep = [1.25, 0.0, 1.25, 1.25, 1.25];
+    let loss = |gated: &Gated| {
+        let tape = GatedTape::forward(gated, &z, &keep);
+        let squares = (&tape.output - &mouth).mapv(|e| f64::from(e).powi(2)).sum();
+        let mut gradient = Gated::zeros(shape);
+        let pull = (&tape.output - &mouth) * 2.0;
+        let entropy = tape.reverse(gated, &pull, &phones, 0.7, &mut gradient);
+        (squares + entropy, gradient)
+    };
+    let (_, gradient) = loss(&gated);
+    for part in PARTS {
+        for _ in 0..3 {
+            let mut direction = Gated::zeros(shape);
+            fill_normal(direction.of_mut(part), 0.0, 1.0, &mut rng);
+            let at = |step: f32| {
+                let mut moved = gated.clone();
+                moved
+                    .values
+                    .iter_mut()
+                    .zip(&direction.values)
+                    .for_each(|(v, d)| *v += step * d);
+                loss(&moved).0
+            };
+            let central = |h: f32| (at(h) - at(-h)) / (2.0 * f64::from(h));
+            let expected = (4.0 * central(0.01) - central(0.02)) / 3.0;
+            let products = gradient.values.iter().zip(&direction.values);
+            let have: f64 = products.map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
+            assert!(
+                (have - expected).abs() < 2e-3 * expected.abs().max(1.0),
+                "{part:?}: {have} by the reverse pass, {expected} by differences"
+            );
+        }
     }
 }

@@ -16,6 +16,7 @@ pub mod optimise;
 pub mod pass;
 mod reverse;
 pub mod rounding;
+pub mod second;
 pub mod settings;
 pub mod start;
 pub mod store;

@@ -49,17 +49,64 @@ impl Rule {
     }
 }
 
+/// Neighbours among the numbers that learn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// How many they are.
+    pub len: usize,
+    /// Multiplies the learning rate; `None`: they stay as they are.
+    pub rate: Option<f32>,
+    /// What decay pulls them to; `None`: nothing does.
+    pub rest: Option<f32>,
+}
+
+/// Numbers that a gradient moves.
+pub trait Learnt: Clone {
+    /// All of them.
+    fn values(&self) -> &[f32];
+    /// All of them, to be changed.
+    fn values_mut(&mut self) -> &mut Vec<f32>;
+    /// How they learn, in their order.
+    fn spans(&self, rule: &Rule) -> Vec<Span>;
+}
+
+impl Learnt for Parameters {
+    fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    fn values_mut(&mut self) -> &mut Vec<f32> {
+        &mut self.values
+    }
+
+    fn spans(&self, rule: &Rule) -> Vec<Span> {
+        let span = |group: Group| {
+            let learns = rule.only.is_none_or(|only| only.contains(&group));
+            let own = match group {
+                Group::Transition | Group::Initial => rule.transition_rate,
+                _ => group.rate(),
+            };
+            Span {
+                len: self.of(group).len(),
+                rate: learns.then_some(own),
+                rest: group.rest(&self.shape),
+            }
+        };
+        GROUPS.into_iter().map(span).collect()
+    }
+}
+
 /// Everything that a step changes.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Optimiser {
+pub struct Optimiser<P = Parameters> {
     /// The parameters as the last step left them.
-    pub parameters: Parameters,
+    pub parameters: P,
     /// Running mean of the gradient, one number a parameter.
     pub first: Vec<f32>,
     /// Running mean of the squared gradient, one number a parameter.
     pub second: Vec<f32>,
     /// Running mean of the parameters.
-    pub mean: Parameters,
+    pub mean: P,
     /// Steps taken so far.
     pub step: usize,
 }
@@ -68,10 +115,10 @@ const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.99;
 const SMALL: f32 = 1e-8;
 
-impl Optimiser {
+impl<P: Learnt> Optimiser<P> {
     /// Before the first step: no gradient seen, the running mean at `parameters` themselves.
-    pub fn new(parameters: Parameters) -> Self {
-        let n = parameters.values.len();
+    pub fn new(parameters: P) -> Self {
+        let n = parameters.values().len();
         Self {
             mean: parameters.clone(),
             parameters,
@@ -82,13 +129,17 @@ impl Optimiser {
     }
 
     /// One step against `gradient`; returns the gradient's length before it was cut, or `None` if it is not finite.
-    pub fn step(&mut self, rule: &Rule, gradient: &Parameters) -> Option<f32> {
-        let learns = |group: &Group| rule.only.is_none_or(|only| only.contains(group));
-        let learning = GROUPS.iter().filter(|group| learns(group));
-        let square: f64 = learning
-            .flat_map(|group| gradient.of(*group))
-            .map(|g| f64::from(*g).powi(2))
-            .sum();
+    pub fn step(&mut self, rule: &Rule, gradient: &P) -> Option<f32> {
+        let spans = self.parameters.spans(rule);
+        let mut rest = gradient.values();
+        let mut square = 0f64;
+        for span in &spans {
+            let (of_span, behind) = rest.split_at(span.len);
+            if span.rate.is_some() {
+                square = of_span.iter().fold(square, |sum, g| sum + f64::from(*g).powi(2));
+            }
+            rest = behind;
+        }
         let length = square.sqrt() as f32;
         if !length.is_finite() {
             return None;
@@ -102,36 +153,29 @@ impl Optimiser {
         self.step += 1;
         let corrected_1 = 1.0 - BETA_1.powi(self.step as i32);
         let corrected_2 = 1.0 - BETA_2.powi(self.step as i32);
-        let shape = self.parameters.shape.clone();
+        // Early on the mean forgets faster, so that it is not the start.
+        let keep = rule.average.min(self.step as f32 / (self.step as f32 + 10.0));
+        let values = self.parameters.values_mut();
+        let means = self.mean.values_mut();
         let mut at = 0;
-        for group in GROUPS {
-            let n = gradient.of(group).len();
-            if !learns(&group) {
-                at += n;
-                continue;
-            }
-            let own = match group {
-                Group::Transition | Group::Initial => rule.transition_rate,
-                _ => group.rate(),
-            };
+        for span in &spans {
+            let places = at..at + span.len;
+            at += span.len;
+            let Some(own) = span.rate else { continue };
+            let pull = span.rest.map(|rest| (rest, rule.decay * share));
             let rate = rule.rate * share * own;
-            let pull = group.rest(&shape).map(|rest| (rest, rule.decay * share));
-            for i in at..at + n {
-                let g = gradient.values[i] * cut;
+            for i in places {
+                let g = gradient.values()[i] * cut;
                 self.first[i] = BETA_1 * self.first[i] + (1.0 - BETA_1) * g;
                 self.second[i] = BETA_2 * self.second[i] + (1.0 - BETA_2) * g * g;
                 let (m, v) = (self.first[i] / corrected_1, self.second[i] / corrected_2);
-                let value = &mut self.parameters.values[i];
+                let value = &mut values[i];
                 *value -= rate * m / (v.sqrt() + SMALL);
                 if let Some((rest, pull)) = pull {
                     *value -= pull * (*value - rest);
                 }
-                let mean = &mut self.mean.values[i];
-                // Early on the mean forgets faster, so that it is not the start.
-                let keep = rule.average.min(self.step as f32 / (self.step as f32 + 10.0));
-                *mean = keep * *mean + (1.0 - keep) * *value;
+                means[i] = keep * means[i] + (1.0 - keep) * *value;
             }
-            at += n;
         }
         Some(length)
     }

@@ -2,6 +2,7 @@
 //!
 //! Every row of a matrix has its own scale, max|row| / (2^(bits−1) − 1); rates are stored as λ itself, unsigned. Biases,
 //! means and the transitions stay as they are: they are small and of 16 bits on the device.
+use lipstream::kinds::recurrent::gated::PARTS;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Group, sigmoid};
 use lipstream::kinds::recurrent::step::rate_group;
@@ -31,10 +32,14 @@ pub fn rounded(model: &RecurrentModel, bits: u32) -> RecurrentModel {
         let (rows, _) = group.size(&shape);
         for r in 0..rows {
             let row = out.parameters.row_mut(group, r);
-            let largest = row.iter().fold(0.0f32, |m, v| m.max(v.abs()));
-            if largest > 0.0 {
-                let step = largest / most;
-                row.iter_mut().for_each(|v| *v = (*v / step).round() * step);
+            round_row(row, most);
+        }
+    }
+    if let Some(gated) = &mut out.gated {
+        for part in PARTS.into_iter().filter(|part| part.is_matrix()) {
+            let (_, columns) = part.size(&gated.shape);
+            for row in gated.of_mut(part).chunks_exact_mut(columns) {
+                round_row(row, most);
             }
         }
     }
@@ -45,6 +50,15 @@ pub fn rounded(model: &RecurrentModel, bits: u32) -> RecurrentModel {
         *logit = (rate / (1.0 - rate)).ln();
     }
     out
+}
+
+/// A row in whole steps of its largest number over `most`.
+fn round_row(row: &mut [f32], most: f32) {
+    let largest = row.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+    if largest > 0.0 {
+        let step = largest / most;
+        row.iter_mut().for_each(|v| *v = (*v / step).round() * step);
+    }
 }
 
 #[cfg(test)]
@@ -80,6 +94,7 @@ mod tests {
             least: 0.0,
             validation_amse: None,
             provenance: String::new(),
+            gated: None,
             parent,
             parameters,
         };

@@ -90,18 +90,12 @@ pub(super) fn run(
     checkpoint_path: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<RecurrentModel> {
-    let powers: Vec<f32> = data
-        .deviation
-        .iter()
-        .map(|d| d.powf(settings.error_power))
-        .collect();
-    let sum: f32 = powers.iter().sum();
     let mut trainer = Trainer {
         settings,
         data,
         chain: Chain::new(&parent.phones, &parent.transition, &parent.bigram),
         context_mean: Vec::new(),
-        weights: powers.iter().map(|p| p / sum).collect(),
+        weights: weights(&data.deviation, settings.error_power),
     };
     let steps = settings.passes * trainer.steps_per_pass();
     let rule = Rule {
@@ -111,7 +105,7 @@ pub(super) fn run(
     };
     let fingerprint = fingerprint(settings, data)?;
     let found = match checkpoint_path {
-        Some(path) => checkpoint::read(path, shape, fingerprint)?,
+        Some(path) => checkpoint::read(path, &Parameters::zeros(shape), fingerprint)?,
         None => None,
     };
     let (mut optimiser, mut best) = match found {
@@ -189,6 +183,7 @@ pub(super) fn run(
         parameters: best.parameters,
         validation_amse,
         context_mean: trainer.context_mean,
+        gated: None,
         scale: data.scale.clone(),
         deviation: data.deviation.clone(),
         least: LEAST,
@@ -210,6 +205,13 @@ pub(super) fn run(
             parent.provenance
         ),
     })
+}
+
+/// w_d = σ_d^ρ / Σσ^ρ.
+pub(super) fn weights(deviation: &[f32], power: f32) -> Vec<f32> {
+    let powers: Vec<f32> = deviation.iter().map(|d| d.powf(power)).collect();
+    let sum: f32 = powers.iter().sum();
+    powers.iter().map(|p| p / sum).collect()
 }
 
 fn begin(
@@ -313,7 +315,7 @@ fn judged(trainer: &Trainer, parameters: &Parameters, ahead: usize) -> Result<Ju
 }
 
 /// A number that settings and data share with no other run.
-fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
+pub(super) fn fingerprint(settings: &MgeTrainSettings, data: &Data) -> Result<u64> {
     let mut hash = Fnv1a::new();
     let mut eat = |bytes: &[u8]| hash.eat(bytes.iter().copied());
     eat(format!("{settings:?}").as_bytes());

@@ -7,6 +7,8 @@ use lipstream_core::N_STATIC;
 use lipstream_core::context::tables::{MAX_INPUTS, MAX_MEANS, MAX_OFFSET, MAX_TAPS};
 use lipstream_core::frame::MAX_PARAMETERS;
 use lipstream_core::hmm::transition::{MAX_PHONES, N_VISUAL_STATES};
+use lipstream_core::kinds::recurrent::gated::READ_BITS;
+use lipstream_core::kinds::recurrent::rate::LOGISTIC_FRACTION_BITS;
 use lipstream_core::kinds::recurrent::tables::*;
 use lipstream_core::kinds::{Kind, Recurrent};
 use lipstream_core::logmath::FRACTION_BITS;
@@ -16,6 +18,7 @@ use ndarray::Array2;
 use super::tables::{Errors, SumRows, Tables, beam};
 use super::{Export, ExportError, Result};
 use crate::error::{bail, ensure};
+use crate::kinds::recurrent::gated::{Gated, Part};
 use crate::kinds::recurrent::model::RecurrentModel;
 use crate::kinds::recurrent::parameters::{Feedback, Group};
 use crate::kinds::recurrent::step::softmax;
@@ -58,6 +61,11 @@ pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
         ("projected inputs", of.inputs, MAX_INPUTS),
         ("visual parameters", of.outputs, MAX_PARAMETERS),
         ("numbers in its memory", of.memory, MAX_MEMORY),
+        (
+            "numbers in its second memory",
+            model.gated.as_ref().map_or(1, |gated| gated.shape.memory),
+            MAX_GATED,
+        ),
     ])?;
     ensure!(
         means <= MAX_MEANS,
@@ -78,6 +86,7 @@ pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
         .into_iter()
         .filter_map(|(has, bit)| has.then_some(bit))
         .sum(),
+        share: model.gated.as_ref().map_or(0, share),
     };
     let mut settings = Vec::new();
     put_settings(&mut settings, &own);
@@ -95,6 +104,9 @@ pub fn export(model: &RecurrentModel, with: &ExportSettings) -> Result<Export> {
     tables.put_context(model)?;
     tables.put_matrices(model)?;
     tables.put_gates(model)?;
+    if let Some(gated) = &model.gated {
+        tables.put_gated(gated, own.share)?;
+    }
     tables.finish(<Recurrent as Kind>::TAG)
 }
 
@@ -226,6 +238,60 @@ impl Tables {
         Ok(())
     }
 
+    /// The second memory; `share`, Q0.16, of the mouth is multiplied into what it says.
+    fn put_gated(&mut self, gated: &Gated, share: u16) -> Result<()> {
+        let share = f64::from(share) / 65536.0;
+        let read = f64::from(1 << READ_BITS);
+        let gate = f64::from(1 << LOGISTIC_FRACTION_BITS);
+        let parts = [
+            (
+                Matrix::GATED_INPUT,
+                Part::Input,
+                Part::InputBias,
+                1.0,
+                SIGNAL,
+                gate,
+            ),
+            (Matrix::GATED_AGAIN, Part::Again, Part::AgainBias, 1.0, read, gate),
+            (
+                Matrix::GATED_OUTPUT,
+                Part::Output,
+                Part::OutputBias,
+                share,
+                read,
+                SIGNAL,
+            ),
+            (
+                Matrix::GATED_LATER,
+                Part::Later,
+                Part::LaterBias,
+                share,
+                read,
+                SIGNAL,
+            ),
+        ];
+        for (matrix, weights, biases, scale, input, output) in parts {
+            let weights = gated.matrix(weights).mapv(|w| f64::from(w) * scale);
+            let bias: Vec<f64> = gated.of(biases).iter().map(|b| f64::from(*b) * scale).collect();
+            self.put_matrix(matrix, &weights, &bias, input, output)?;
+        }
+        let mut errors = Errors::new("of the memory");
+        let first: Vec<i16> = gated
+            .of(Part::First)
+            .iter()
+            .map(|h| {
+                let value = f64::from(*h) * read;
+                let q = errors.round(value, read);
+                errors.add((q - value) / read);
+                q as i16
+            })
+            .collect();
+        let mut bytes = Vec::new();
+        put_first_memory(&mut bytes, first);
+        self.put(GATED_FIRST, bytes, errors.report());
+        Ok(())
+    }
+
     /// What the states of both chains own.
     fn put_gates(&mut self, model: &RecurrentModel) -> Result<()> {
         let p = &model.parameters;
@@ -307,6 +373,11 @@ impl Tables {
         self.put_mouth(model.deviation.iter().map(|d| d / SIGNAL as f32));
         Ok(())
     }
+}
+
+/// s in Q0.16, at least its smallest.
+fn share(gated: &Gated) -> u16 {
+    (gated.share * 65536.0).round().clamp(1.0, 65535.0) as u16
 }
 
 /// One chain's tables.

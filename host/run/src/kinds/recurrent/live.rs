@@ -4,6 +4,7 @@ use ndarray::{Array2, ArrayView2, Axis};
 
 use super::chain::{Scratch, VISUAL, axpy, dot};
 use super::context::Window;
+use super::gated::{Part, STRIDE};
 use super::log_sums::{LogSums, Sums};
 use super::model::RecurrentModel;
 use super::parameters::{Feedback, Group};
@@ -35,6 +36,10 @@ pub struct Live<'a> {
     sums: Option<LogSums>,
     memory: Vec<f32>,
     output: Vec<f32>,
+    /// The second memory; empty where there is none.
+    gated: Vec<f32>,
+    /// Frames given.
+    given: usize,
     started: bool,
     /// Frames of end that are still to be invented.
     left: usize,
@@ -57,6 +62,11 @@ impl<'a> Live<'a> {
             sums: None,
             memory: model.parameters.of(Group::FirstMemory).to_vec(),
             output: vec![0.0; shape.outputs],
+            gated: model
+                .gated
+                .as_ref()
+                .map_or_else(Vec::new, |gated| gated.of(Part::First).to_vec()),
+            given: 0,
             started: false,
             left: ahead.min(shape.context.look_ahead()),
             net,
@@ -149,7 +159,8 @@ impl<'a> Live<'a> {
         }
         .step(&self.net, &audio, &visual, &drive, &self.memory, &[]);
         self.memory = memory;
-        let parameters = output
+        let said = self.second(&z, &output);
+        let parameters = said
             .iter()
             .zip(&self.model.deviation)
             .map(|(y, d)| y * d)
@@ -162,6 +173,28 @@ impl<'a> Live<'a> {
             audio,
             visual,
         }
+    }
+}
+
+impl Live<'_> {
+    /// The mean of what the first memory has `said` and what the second says to `z`.
+    fn second(&mut self, z: &[f32], said: &[f32]) -> Vec<f32> {
+        let Some(gated) = &self.model.gated else {
+            return said.to_vec();
+        };
+        let after = self.given % STRIDE;
+        self.given += 1;
+        if after == 0 {
+            let rows = gated.of(Part::Input).chunks_exact(gated.shape.inputs);
+            let drive: Vec<f32> = rows
+                .zip(gated.of(Part::InputBias))
+                .map(|(row, b)| dot(row, z) + b)
+                .collect();
+            self.gated = gated.step(&drive, &self.gated).memory;
+        }
+        let second = gated.said(&self.gated, after);
+        let mean = |(first, second): (&f32, f32)| first + gated.share * (second - first);
+        said.iter().zip(second).map(mean).collect()
     }
 }
 

@@ -5,6 +5,7 @@
 //! rest (M4-M9), [`live`] runs them frame by frame, [`settle`] keeps a mouth at rest still (M11).
 pub mod chain;
 pub mod context;
+pub mod gated;
 pub mod live;
 pub mod log_sums;
 pub mod model;

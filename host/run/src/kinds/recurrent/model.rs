@@ -7,6 +7,7 @@ use ndarray::{Array1, Array2, Array3, ArrayView2};
 
 use super::chain::{Chain, VISUAL};
 use super::context::Context;
+use super::gated::Gated;
 use super::parameters::{Feedback, GROUPS, Gate, Group, Parameters, Shape};
 use super::step::{log_softmax_rows, softmax};
 use crate::error::{Context as _, Error, Result, bail};
@@ -30,6 +31,8 @@ pub struct RecurrentModel {
     pub parent: Model,
     /// What minimum generation error training has learnt.
     pub parameters: Parameters,
+    /// A second memory whose mouth is averaged with the first one's.
+    pub gated: Option<Gated>,
     /// c̄ `[C]`.
     pub context_mean: Vec<f32>,
     /// What the normalised statics are multiplied with, `[13]`.
@@ -123,6 +126,9 @@ impl RecurrentModel {
                 out.put(&name, &view);
             }
         }
+        if let Some(gated) = &self.gated {
+            gated.store(&mut out)?;
+        }
         out.write(path)
     }
 
@@ -210,6 +216,7 @@ impl RecurrentModel {
             least: from.noted("mge.least")?,
             validation_amse: from.noted("mge.validation_amse").ok(),
             provenance: from.noted("provenance")?,
+            gated: Gated::from_tensors(from, shape.inputs, shape.outputs)?,
             parent,
             parameters,
         };

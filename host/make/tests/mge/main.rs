@@ -1,5 +1,7 @@
 //! Minimum generation error training end to end on a made-up talker: learnt, the same bytes again, interrupted and
 //! gone on with, streamed as in batches, refused in words.
+mod second;
+
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -501,6 +503,49 @@ fn a_file_gives_the_model_back() {
     assert!(error.contains("mge.context_mean"), "{error}");
 }
 
+/// How far the device's arithmetic is from the floats, on whole clips and sounds shorter than the look-ahead: of the mouth, and in viseme weights.
+fn apart(model: &RecurrentModel, clips: &Store) -> (f64, f64) {
+    let tables = export_mge(model, &MgeSettings::default()).unwrap().bytes;
+    let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
+    for clip in every(clips) {
+        let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
+        let heard = raw.mapv(|v| (v * 256.0).round() as i16);
+        for (length, ahead, settles) in [
+            (heard.nrows(), 8, false),
+            (heard.nrows(), 8, true),
+            (heard.nrows(), 3, false),
+            (1, 8, true),
+            (2, 3, false),
+            (8, 8, true),
+            (9, 6, false),
+            (30, 8, true),
+        ] {
+            let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
+            let statics = heard.mapv(|v| f32::from(v) / 256.0);
+            let mut floats = live::convert_within(model, statics.view(), ahead);
+            if settles {
+                settle(&mut floats.parameters, &model.deviation);
+            }
+            let said = fixed(&tables, &heard, ahead as u16, settles);
+            assert_eq!(said.len(), length);
+            for (t, frame) in said.iter().enumerate() {
+                assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));
+                for d in 0..OUTPUTS {
+                    let fixed = f64::from(frame.values[d]) / 1024.0;
+                    let float = f64::from(floats.parameters[[t, d]] / model.deviation[d]);
+                    error += (fixed - float).powi(2);
+                    power += float.powi(2);
+                }
+                for (v, weight) in frame.viseme_weights.iter().enumerate() {
+                    visemes += (f64::from(*weight) / 255.0 - f64::from(floats.visemes[[t, v]])).powi(2);
+                }
+                frames += 1.0;
+            }
+        }
+    }
+    ((error / power).sqrt(), (visemes / frames).sqrt())
+}
+
 /// The device's arithmetic on whole LSBs of Q7.8, to the end of the sound.
 fn fixed(tables: &[u8], statics: &Array2<i16>, look_ahead: u16, settles: bool) -> Vec<ParameterFrame> {
     let tables = Tables::new_checked(tables).unwrap();
@@ -540,46 +585,7 @@ fn fixed_point_follows_the_floats() {
             ..small()
         };
         let model = quietly(&data, &parent, &settings, None);
-        let tables = export_mge(&model, &MgeSettings::default()).unwrap().bytes;
-        let (mut error, mut power, mut visemes, mut frames) = (0.0f64, 0.0f64, 0.0f64, 0.0f64);
-        for clip in every(&data.validation) {
-            let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
-            let heard = raw.mapv(|v| (v * 256.0).round() as i16);
-            // The whole clip, and sounds shorter than the look-ahead.
-            for (length, ahead, settles) in [
-                (heard.nrows(), 8, false),
-                (heard.nrows(), 8, true),
-                (heard.nrows(), 3, false),
-                (1, 8, true),
-                (2, 3, false),
-                (8, 8, true),
-                (9, 6, false),
-                (30, 8, true),
-            ] {
-                let heard = heard.slice(ndarray::s![..length, ..]).to_owned();
-                let statics = heard.mapv(|v| f32::from(v) / 256.0);
-                let mut floats = live::convert_within(&model, statics.view(), ahead);
-                if settles {
-                    settle(&mut floats.parameters, &model.deviation);
-                }
-                let said = fixed(&tables, &heard, ahead as u16, settles);
-                assert_eq!(said.len(), length);
-                for (t, frame) in said.iter().enumerate() {
-                    assert_eq!((frame.frame as usize, frame.sample as usize), (t, 160 * t + 200));
-                    for d in 0..OUTPUTS {
-                        let fixed = f64::from(frame.values[d]) / 1024.0;
-                        let float = f64::from(floats.parameters[[t, d]] / model.deviation[d]);
-                        error += (fixed - float).powi(2);
-                        power += float.powi(2);
-                    }
-                    for (v, weight) in frame.viseme_weights.iter().enumerate() {
-                        visemes += (f64::from(*weight) / 255.0 - f64::from(floats.visemes[[t, v]])).powi(2);
-                    }
-                    frames += 1.0;
-                }
-            }
-        }
-        let (relative, visemes) = ((error / power).sqrt(), (visemes / frames).sqrt());
+        let (relative, visemes) = apart(&model, &data.validation);
         println!("{feedback:?} {maps:?} {rates:?}: {relative:.4} of the mouth, visemes {visemes:.4}");
         assert!(relative < 0.02, "{feedback:?} {maps:?} {rates:?}: {relative}");
         assert!(visemes < 0.03, "{feedback:?} {maps:?} {rates:?}: {visemes}");
