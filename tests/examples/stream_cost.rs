@@ -24,6 +24,7 @@ mod target {
     use lipstream_core::kinds::recurrent::TOKENS;
     use lipstream_core::kinds::recurrent::context::{Means, project};
     use lipstream_core::kinds::recurrent::follower::Follower;
+    use lipstream_core::kinds::recurrent::gated::GatedMemory;
     use lipstream_core::kinds::recurrent::memory::Memory;
     use lipstream_core::kinds::recurrent::occupancy::Occupancy;
     use lipstream_core::kinds::recurrent::settle::settle;
@@ -72,7 +73,9 @@ mod target {
         whole.then(|| core::array::from_fn(|i| i16::from_le_bytes([hop[2 * i], hop[2 * i + 1]])))
     }
 
-    const STAGES: [&str; 6] = ["frontend", "context", "follow", "gates", "memory", "settle"];
+    const STAGES: [&str; 7] = [
+        "frontend", "context", "follow", "gates", "memory", "second", "settle",
+    ];
 
     /// What a stage of a stream costs, instructions.
     #[derive(Clone, Copy, Default)]
@@ -110,9 +113,19 @@ mod target {
         let model = model.own();
         let (mut history, mut means, mut memory) = (History::new(), Means::new(), Memory::new());
         memory.reset(model);
+        let mut second = GatedMemory::new();
+        second.reset(model.gated());
         let (mut shown, mut known) = ([0; MAX_PARAMETERS], 0);
         let mut spent = [Spent::default(); STAGES.len()];
-        let [of_frontend, of_context, of_follow, of_gates, of_memory, of_settle] = &mut spent;
+        let [
+            of_frontend,
+            of_context,
+            of_follow,
+            of_gates,
+            of_memory,
+            of_second,
+            of_settle,
+        ] = &mut spent;
         let mut hops = 0u32;
         while let Some(samples) = next_hop(sound) {
             hops += 1;
@@ -148,6 +161,11 @@ mod target {
             of_memory.begin();
             let mut mouth = memory.step(model, z, &audio, &visual);
             of_memory.end();
+            of_second.begin();
+            if let Some(gated) = model.gated() {
+                second.step(gated, frame, z, &mut mouth);
+            }
+            of_second.end();
             of_settle.begin();
             settle(&shown[..known], &mut mouth);
             known = mouth.len();

@@ -44,18 +44,20 @@ const ROWS: [(&str, &str); 16] = [
 ];
 
 /// Rows of the stream's table.
-const STREAM_ROWS: [(&str, &str); 17] = [
+const STREAM_ROWS: [(&str, &str); 19] = [
     ("instructions frontend_mean", "front end, mean of a hop"),
     ("instructions context_mean", "context and projection, mean"),
     ("instructions follow_mean", "following the joint states, mean"),
     ("instructions gates_mean", "occupancies and gates, mean"),
     ("instructions memory_mean", "memory and mouth, mean"),
+    ("instructions second_mean", "second memory, mean"),
     ("instructions settle_mean", "settling and viseme weights, mean"),
     ("instructions frontend_worst", "front end, worst hop"),
     ("instructions context_worst", "context and projection, worst"),
     ("instructions follow_worst", "following the joint states, worst"),
     ("instructions gates_worst", "occupancies and gates, worst"),
     ("instructions memory_worst", "memory and mouth, worst"),
+    ("instructions second_worst", "second memory, worst"),
     ("instructions settle_worst", "settling and viseme weights, worst"),
     ("instructions mean", "**a hop of the stream, mean**"),
     ("instructions worst", "**a hop of the stream, worst**"),

@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// Write the visual densities too, so that a stream can re-estimate the mouth by EM (`convert --feedback`)
     #[arg(long)]
     visual_densities: bool,
+    /// Leave out the second memory of a model that has one: fewer instructions and bytes, a mouth that is somewhat further from the true one
+    #[arg(long)]
+    one_memory: bool,
     /// Take tables of this many KiB at most
     #[arg(long, value_name = "KIB")]
     flash: Option<usize>,
@@ -136,7 +139,14 @@ impl Kind {
                     path.display()
                 );
             }
-            return Ok(Self::Mge(Box::new(RecurrentModel::read(path)?)));
+            let mut model = RecurrentModel::read(path)?;
+            if args.one_memory && model.gated.take().is_none() {
+                bail!("{} has no second memory to leave out", path.display());
+            }
+            return Ok(Self::Mge(Box::new(model)));
+        }
+        if args.one_memory {
+            bail!("{} was trained by likelihood: it has no memory", path.display());
         }
         let model = Model::read(path)?;
         let own = ExportSettings::of(&model);

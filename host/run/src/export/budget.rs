@@ -60,7 +60,18 @@ pub fn instructions(model: &RecurrentModel, beam_bits: f64) -> f64 {
     );
     let wider = beam_bits - 11.0;
     let active = (39.0 + wider * if wider < 0.0 { 6.0 } else { 3.5 }).clamp(5.0, 80.0);
-    57_000.0 + 1.72 * c * z + 1.6 * (h * z + (z + h) * d) + 18.0 * (3.0 * h + d) + 30.0 * h + 1_360.0 * active
+    // Half of a step in every frame, and what speaks.
+    let second = model.gated.as_ref().map_or(0.0, |gated| {
+        let k = of(gated.shape.memory);
+        1.5 * (1.5 * k * (z + k) + k * d) + 60.0 * k
+    });
+    second
+        + 57_000.0
+        + 1.72 * c * z
+        + 1.6 * (h * z + (z + h) * d)
+        + 18.0 * (3.0 * h + d)
+        + 30.0 * h
+        + 1_360.0 * active
 }
 
 /// Instructions of a hop of a likelihood-trained model with so many active joint states on average.
