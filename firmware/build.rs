@@ -1,6 +1,6 @@
 //! The board's memory map and the model's tables.
 //!
-//! The tables are `models/grid-s1.tables` (`models/grid-s1-light.tables`, without the second memory, for a Cortex-M0+), or the file that the environment variable LIPSTREAM_TABLES names; they
+//! The tables are `models/grid-s1.tables`, or the file that the environment variable LIPSTREAM_TABLES names; they
 //! become part of the image, and their kind is that of the program.
 use std::env;
 use std::path::PathBuf;
@@ -46,10 +46,6 @@ fn main() {
     let tables = match env::var_os("LIPSTREAM_TABLES") {
         // Relative to where cargo keeps the workspace.
         Some(path) => root.join(path),
-        // A processor without long multiplications has no time for the second memory.
-        None if env::var("TARGET").is_ok_and(|target| target.starts_with("thumbv6m")) => {
-            root.join("models/grid-s1-light.tables")
-        }
         None => root.join("models/grid-s1.tables"),
     };
     println!("cargo::rerun-if-changed={}", tables.display());

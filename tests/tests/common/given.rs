@@ -57,11 +57,6 @@ pub(crate) fn shipped_tables() -> Vec<u8> {
     std::fs::read(root().join("models/grid-s1.tables")).expect("the shipped tables")
 }
 
-/// Tables of the shipped model without its second memory: what a Cortex-M0+ carries.
-pub(crate) fn light_tables() -> Vec<u8> {
-    std::fs::read(root().join("models/grid-s1-light.tables")).expect("the light tables")
-}
-
 /// What the core gives on the host.
 pub(crate) fn host_frames(
     model: &AnyModel,

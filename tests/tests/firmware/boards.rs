@@ -16,11 +16,8 @@ const COPIES: [(&str, u64); 2] = [("pico", 182 * 1024), ("pico2", 384 * 1024)];
 
 #[test]
 fn every_board_fits() {
+    let tables = common::shipped_tables();
     for (board, _) in BOARDS {
-        let tables = match board {
-            "pico" => common::light_tables(),
-            _ => common::shipped_tables(),
-        };
         let program = build_firmware(board, &common::folder(&format!("fits-{board}")), "firmware", None);
         let bytes = std::fs::read(program).expect("the program");
         let file = object::File::parse(&*bytes).expect("an ELF file");

@@ -96,7 +96,7 @@ fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
 static MODEL: OnceLock<Vec<u8>> = OnceLock::new();
 
 fn model() -> AnyModel<'static> {
-    AnyModel::new_checked(MODEL.get_or_init(common::light_tables)).expect("the shipped model")
+    AnyModel::new_checked(MODEL.get_or_init(common::shipped_tables)).expect("the shipped model")
 }
 
 fn last_status(messages: &[ToHost]) -> Status {
@@ -195,7 +195,7 @@ fn troubles_of_one_host_are_its_own() {
 /// A model that is damaged in flash: words, and the LED's code instead of the heartbeat.
 #[test]
 fn a_damaged_model_is_refused_visibly() {
-    let tables = common::light_tables();
+    let tables = common::shipped_tables();
     let at = 0x1010_0000 + tables.len() / 2;
     let job = json!({ "events": [], "flash": [[at, tables[tables.len() / 2] ^ 1]], "milliseconds": 2500 });
     let folder = emulate("pico-damaged", &[0; 16], job);
