@@ -6,7 +6,7 @@ use std::path::Path;
 use common::program::{refuse, run, succeed, text};
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::opening::OpeningReader;
-use lipstream_core::servo::{Calibration, Mouth};
+use lipstream_core::servo::{Calibration, Driver, Mouth, ReadOut};
 use lipstream_media::sound::Reader;
 
 fn data(name: &str) -> String {
@@ -35,6 +35,60 @@ fn table(folder: &Path) -> Calibration {
         ],
     );
     Calibration::new_checked(&std::fs::read(folder.join("servos.table")).unwrap()).unwrap()
+}
+
+/// What a device needs: what makes its pulses, how its model's gap and width are read, and nothing where no channel asks for them.
+#[test]
+fn a_table_says_how_a_device_reads_its_model() {
+    let folder = common::folder("servo-table");
+    let calibration = table(&folder);
+    let id = Engine::shipped().model_id();
+    assert_eq!(calibration.read_out().map(ReadOut::model), id);
+    assert_eq!(calibration.driver(), Driver::Pins);
+    let json = std::fs::read_to_string(data("servos.json")).unwrap();
+    let written = |json: String, more: &[&str]| {
+        std::fs::write(folder.join("own.json"), json).unwrap();
+        let words = ["servo", "-c", "own.json", "--write-table", "own.table"];
+        succeed(&folder, &[&words[..], more].concat());
+        Calibration::new_checked(&std::fs::read(folder.join("own.table")).unwrap()).unwrap()
+    };
+    let with = |driver: &str| json.replacen('{', &format!("{{ \"driver\": \"{driver}\","), 1);
+    let other = common::root()
+        .join("models/grid-s1-timit.safetensors")
+        .display()
+        .to_string();
+    let own = written(with("pca9685"), &["-m", &other]);
+    assert_eq!(own.driver(), Driver::Pca9685);
+    let theirs = own.read_out().map(ReadOut::model);
+    assert!(theirs.is_some() && theirs != id);
+    succeed(&folder, &["export", &other, "-o", "other.tables"]);
+    let tables = "other.tables";
+    let visemes = json
+        .replace("\"gap\": 1.0", "\"visemes\": { \"lr1\": 1 }")
+        .replace("\"width\": 1.0, ", "");
+    assert_eq!(written(visemes, &["-m", tables]).read_out(), None);
+    std::fs::write(folder.join("wrong.json"), with("pin")).unwrap();
+    let line = refuse(
+        &folder,
+        &["servo", "-c", "wrong.json", "--write-table", "no.table"],
+    );
+    assert!(
+        line.contains("\"pin\" is no driver; there are pins, pca9685, maestro, csv"),
+        "{line}"
+    );
+    let line = refuse(
+        &folder,
+        &[
+            "servo",
+            "-c",
+            "servos.table",
+            "--write-table",
+            "no.table",
+            "-m",
+            tables,
+        ],
+    );
+    assert!(line.contains("name its .safetensors"), "{line}");
 }
 
 /// End stops, speed and acceleration of every channel.

@@ -5,9 +5,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 use lipstream::engine::{Engine, Kind, RunSettings};
-use lipstream::opening::OpeningReader;
 use lipstream::parameters::{self, ParameterError};
-use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, Servos, output};
+use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, ReadOut, Servos, output};
 use lipstream_live::address::Address;
 use lipstream_live::recording::Recording;
 use lipstream_media::files;
@@ -75,7 +74,18 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     let calibration = calibration::read(&args.calibration)?;
     if let Some(path) = &args.write_table {
-        let table = calibration.to_bytes();
+        // A device knows its model's parameters, and nothing of its mouth's pictures.
+        let read_out = match calibration.needs_read_out() {
+            true => {
+                let model = args.model.as_deref();
+                Some(read_out(
+                    model,
+                    &Engine::open_or_shipped(model, Kind::Fixed, false)?,
+                )?)
+            }
+            false => None,
+        };
+        let table = calibration.clone().reading(read_out).to_bytes();
         write(path, |file| Ok(file.write_all(&table)?))?;
         say(path, &format!("{} bytes", table.len()));
     }
@@ -200,14 +210,10 @@ fn by_hand(words: &[f64], calibration: &Calibration, out: &mut Out) -> Result<()
 /// The servos follow a source, and rest when it has ended.
 fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -> Result<()> {
     let engine = Engine::open_or_shipped(args.model.as_deref(), Kind::Fixed, false)?;
-    let reader = cues::opening(args.model.as_deref(), &engine)?;
-    let reader = reader.context(
-        "the model has no mouth that gap and width could be read from: name its .safetensors, not its tables",
-    )?;
     let mut follow = Follow {
         servos: Servos::new(calibration),
-        reader,
-        width: engine.n_parameters(),
+        read_out: read_out(args.model.as_deref(), &engine)?,
+        scales: scales(&engine),
         out,
         frames: 0,
     };
@@ -253,31 +259,49 @@ fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -
     follow.rest(calibration)
 }
 
+/// Real units of one LSB of each parameter, which a fixed engine's tables have.
+fn scales(engine: &Engine) -> Vec<f32> {
+    let tables = engine.tables().into_iter();
+    tables
+        .flat_map(|tables| tables.head().parameter_scales())
+        .collect()
+}
+
+/// How gap and width are read, in the whole numbers that a device reads too.
+fn read_out(model: Option<&Path>, engine: &Engine) -> Result<ReadOut> {
+    let reader = cues::opening(model, engine)?;
+    let read_out = reader.and_then(|reader| reader.read_out(engine.model_id()?, &scales(engine)));
+    read_out.context(
+        "the model has no mouth that gap and width could be read from: name its .safetensors, not its tables",
+    )
+}
+
 /// Servos on the heels of a mouth.
 struct Follow<'a, 'o> {
     servos: Servos,
-    reader: OpeningReader,
-    /// Parameters of a frame.
-    width: usize,
+    read_out: ReadOut,
+    scales: Vec<f32>,
     out: &'a mut Out<'o>,
     frames: usize,
 }
 
 impl Follow<'_, '_> {
     fn frame(&mut self, parameters: &[f32], visemes: &[f32]) -> Result<()> {
-        if parameters.len() != self.width {
+        let wanted = self.scales.len();
+        if parameters.len() != wanted {
             bail!(ParameterError::Width {
                 width: parameters.len(),
-                wanted: self.width
+                wanted
             });
         }
-        let opening = self.reader.read(parameters);
-        // `as` saturates; the reader keeps both in range.
-        let q15 = |share: f32| (share * f32::from(i16::MAX)).round() as i16;
+        // `as` saturates.
+        let values = parameters.iter().zip(&self.scales);
+        let values: Vec<i16> = values.map(|(p, scale)| (p / scale).round() as i16).collect();
         let weights: Vec<u8> = visemes.iter().map(|w| (w * 255.0).round() as u8).collect();
+        let (gap, width) = self.read_out.read(&values);
         self.servos.step(&Mouth {
-            gap: q15(opening.gap),
-            width: q15(opening.width),
+            gap,
+            width,
             viseme_weights: &weights,
         });
         self.frames += 1;
