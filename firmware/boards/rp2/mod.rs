@@ -6,6 +6,7 @@
 //! | GP2 to GP7, GP20, GP21 | servos, see [`servos`] |
 //! | GP16, GP17, GP18 | I²S: bit clock, word select, data |
 //! | GP25 | LED |
+mod fast;
 mod hot;
 mod i2s;
 #[path = "../common/model.rs"]
@@ -38,8 +39,6 @@ use i2s::Microphone;
 use model::Kind;
 use servos::{Servos, Ways};
 
-/// Where the model is copied to: the flash's cache is small, and what it misses takes fifty cycles.
-static MODEL_BYTES: ConstStaticCell<ModelBytes> = ConstStaticCell::new(ModelBytes([0; MODEL_SPACE]));
 static MODEL: StaticCell<DeviceModel> = StaticCell::new();
 static APP: StaticCell<DeviceApp> = StaticCell::new();
 static SERVOS: StaticCell<Servos> = StaticCell::new();
@@ -48,16 +47,6 @@ static UART_QUEUES: ConstStaticCell<Queues> = ConstStaticCell::new(Queues::new()
 
 type DeviceModel = Model<'static, Kind>;
 type DeviceApp = App<'static, Kind, Ports, Microseconds, &'static mut Servos>;
-
-/// Room for a model in RAM; a larger one runs from flash, more slowly.
-#[cfg(feature = "pico")]
-const MODEL_SPACE: usize = 182 * 1024;
-#[cfg(feature = "pico2")]
-const MODEL_SPACE: usize = 384 * 1024;
-
-/// Sections of a model lie at multiples of four.
-#[repr(align(4))]
-struct ModelBytes([u8; MODEL_SPACE]);
 
 /// Both boards' crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
@@ -94,18 +83,6 @@ fn make_app(
 #[inline(never)]
 fn make_servos(ways: Ways, model: &DeviceModel) -> &'static mut Servos {
     SERVOS.init_with(|| ways.rig(servo_flash::calibration(), model.head()))
-}
-
-/// The model in RAM, where there is room for it.
-fn copied(model: &'static [u8]) -> &'static [u8] {
-    let place = MODEL_BYTES.take();
-    match place.0.get_mut(..model.len()) {
-        Some(copy) => {
-            copy.copy_from_slice(model);
-            copy
-        }
-        None => model,
-    }
 }
 
 /// Everything, for ever.
@@ -180,7 +157,7 @@ pub(crate) fn run() -> ! {
         (pins.gpio20, pins.gpio21),
     );
     // With the ports at hand, to say it where it is wrong.
-    let model = match Model::new_checked(copied(model::in_flash())) {
+    let model = match Model::new_placed(model::in_flash(), fast::place) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
