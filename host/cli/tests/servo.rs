@@ -329,6 +329,98 @@ fn a_recorded_stream_moves_servos_with_its_own_model_only() {
     assert!(line.contains("a.stream was made by another model"), "{line}");
 }
 
+/// Speech in real time, as a microphone or a device brings it: the jaw opens as it does for the file, within its limits, and rests at the end.
+#[test]
+fn a_live_source_moves_servos_in_its_own_time() {
+    let folder = common::folder("servo-live");
+    let calibration = table(&folder);
+    let json = data("servos.json");
+    let begun = std::time::Instant::now();
+    let words = [
+        "servo",
+        "--wav",
+        &data("hello.wav"),
+        "-c",
+        &json,
+        "-o",
+        "live.csv",
+        "--to",
+        "csv:frames.csv",
+    ];
+    let output = run(&folder, &words);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(
+        begun.elapsed().as_secs_f64() > 4.0,
+        "4.2 s of speech in {:?}",
+        begun.elapsed()
+    );
+    assert!(
+        text(&output.stderr).contains("the servos followed for "),
+        "{}",
+        text(&output.stderr)
+    );
+    let rows = pulses(&std::fs::read_to_string(folder.join("live.csv")).unwrap());
+    assert_limits(&rows, &calibration);
+    assert!(rows.len() > 400, "{} hops", rows.len());
+    let most = |rows: &[Vec<i32>]| rows.iter().map(|row| row[0]).max().unwrap();
+    let heard = pulses(&succeed(&folder, &["servo", &data("hello.wav"), "-c", &json]));
+    // A busy computer leaves hops out: not every peak is reached.
+    assert!(
+        most(&rows) - 4_000 > (most(&heard) - 4_000) / 2,
+        "{} {}",
+        most(&rows),
+        most(&heard)
+    );
+    assert_eq!(rows.last().unwrap(), &[4000, 6000]);
+    assert!(
+        std::fs::read_to_string(folder.join("frames.csv"))
+            .unwrap()
+            .lines()
+            .count()
+            > 400
+    );
+
+    let refused = |words: &[&str]| refuse(&folder, &[&["servo", "-c", &json], words].concat());
+    assert!(refused(&["a.csv", "--to", "json:x"]).contains("--to wants a live source"));
+    let device = model_device();
+    let line = refused(&[&device, "-o", "none.csv"]);
+    assert!(line.contains("runs model 00000001"), "{line}");
+    assert!(!folder.join("none.csv").exists());
+}
+
+/// A device of another model, at a TCP port.
+fn model_device() -> String {
+    use std::io::Write as _;
+
+    use lipstream_core::wire::{Group, Hello, MAX_ENCODED, PROTOCOL, ToHost, encode};
+
+    let hello = ToHost::Hello(Hello {
+        protocol: PROTOCOL,
+        model: 1,
+        rate_hz: 100,
+        lag_samples: 1000,
+        visemes: 13,
+        groups: [Group {
+            name: "mouth".try_into().unwrap(),
+            size: 2,
+        }]
+        .into_iter()
+        .collect(),
+        scales: [1.0; 2].into_iter().collect(),
+    });
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tcp://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (mut line, _) = listener.accept().unwrap();
+        let bytes = encode(&hello, &mut [0; MAX_ENCODED]).unwrap().to_vec();
+        // Until the program has read enough and hangs up.
+        while line.write_all(&bytes).is_ok() {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+    });
+    address
+}
+
 /// What a board reads at the other end of a serial port, in real time.
 #[cfg(target_os = "linux")]
 #[test]

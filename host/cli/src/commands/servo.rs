@@ -13,29 +13,29 @@ use lipstream_media::files;
 
 use super::convert::{anew, told};
 use super::cues;
+use super::sources::SourceArgs;
 use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
 
 mod calibration;
+mod live;
 
 /// One hop.
 const HOP: Duration = Duration::from_millis(10);
 /// Characters of a bar.
 const BAR: usize = 12;
 
-/// Move hobby servos by speech, or by hand to calibrate them
+/// Move hobby servos by speech, live or from a file, or by hand to calibrate them
 ///
-/// The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at their centres and go back there at the end.
+/// The source is a sound, parameters of `lipstream convert` (.csv; .npy, which has no visemes), a recorded stream, - for a sound on standard input; or it is live: a
+/// device's serial port, --mic, --wav in real time. The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at
+/// their centres and go back there at the end.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Speech in a sound file (- is standard input), parameters of `lipstream convert` (.npy without visemes), or a recorded stream (.stream)
-    #[arg(required_unless_present_any = ["by_hand", "write_table"], conflicts_with = "by_hand")]
-    source: Option<PathBuf>,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Calibration: JSON, or the table that --write-table wrote
     #[arg(short, long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Model (.safetensors) whose mouth it is [default: the shipped one]
-    #[arg(short, long)]
-    model: Option<PathBuf>,
     /// Where pulses go, 100 times a second of the source; - is standard output [default: -, nowhere with --bars or --write-table alone]
     #[arg(short, long, conflicts_with = "port")]
     output: Option<PathBuf>,
@@ -46,7 +46,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_enum, default_value_t = Format::Csv)]
     format: Format,
     /// Move one channel (its number in the calibration, from 0) to a pulse in microseconds between its end stops, and leave it there
-    #[arg(long = "move", value_names = ["CHANNEL", "US"], num_args = 2)]
+    #[arg(long = "move", value_names = ["CHANNEL", "US"], num_args = 2, conflicts_with_all = ["source", "wav", "mic", "qemu"])]
     by_hand: Option<Vec<f64>>,
     /// Show every channel between its end stops on standard error, in real time
     #[arg(long)]
@@ -64,20 +64,32 @@ enum Format {
     Maestro,
 }
 
+impl Args {
+    /// Whether frames come by themselves: also from the device that is plugged in, where nothing else was asked for.
+    pub(crate) fn is_live(&self) -> bool {
+        let asked = self.source.source().is_some() || self.by_hand.is_some() || self.write_table.is_some();
+        self.source.is_live() || !asked
+    }
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
-    let moves = args.source.is_some() || args.by_hand.is_some();
+    let is_live = args.is_live();
+    let moves = is_live || args.source.source().is_some() || args.by_hand.is_some();
     if !moves && (args.output.is_some() || args.port.is_some() || args.bars) {
         bail!("nothing moves the servos: name a source, or give --move CHANNEL US");
     }
     if moves && args.write_table.as_deref().is_some_and(is_standard) {
         bail!("--write-table - takes standard output for itself: leave the source out, or name a file");
     }
+    if args.source.is_asked_for_outputs() && !is_live {
+        bail!("--to wants a live source: a device, --mic, or --wav SOUND");
+    }
     let calibration = calibration::read(&args.calibration)?;
     if let Some(path) = &args.write_table {
         // A device knows its model's parameters, and nothing of its mouth's pictures.
         let read_out = match calibration.needs_read_out() {
             true => {
-                let model = args.model.as_deref();
+                let model = args.source.model_path();
                 Some(read_out(
                     model,
                     &Engine::open_or_shipped(model, Kind::Fixed, false)?,
@@ -116,11 +128,12 @@ fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<(
         to,
         format: args.format,
         bars: args.bars,
-        next: (args.bars || args.port.is_some()).then(Instant::now),
+        next: (args.bars || args.port.is_some() || args.is_live()).then(Instant::now),
     };
-    let done = match (&args.by_hand, &args.source) {
+    let done = match (&args.by_hand, args.source.source()) {
         (Some(words), _) => by_hand(words, calibration, &mut out),
-        (None, Some(source)) => speak(args, source, calibration, &mut out),
+        _ if args.is_live() => live::follow(args, calibration, &mut out),
+        (None, Some(source)) => speak(args, Path::new(source), calibration, &mut out),
         (None, None) => Ok(()),
     };
     if args.bars {
@@ -209,10 +222,10 @@ fn by_hand(words: &[f64], calibration: &Calibration, out: &mut Out) -> Result<()
 
 /// The servos follow a source, and rest when it has ended.
 fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -> Result<()> {
-    let engine = Engine::open_or_shipped(args.model.as_deref(), Kind::Fixed, false)?;
+    let engine = Engine::open_or_shipped(args.source.model_path(), Kind::Fixed, false)?;
     let mut follow = Follow {
         servos: Servos::new(calibration),
-        read_out: read_out(args.model.as_deref(), &engine)?,
+        read_out: read_out(args.source.model_path(), &engine)?,
         scales: scales(&engine),
         out,
         frames: 0,
@@ -298,13 +311,24 @@ impl Follow<'_, '_> {
         let values = parameters.iter().zip(&self.scales);
         let values: Vec<i16> = values.map(|(p, scale)| (p / scale).round() as i16).collect();
         let weights: Vec<u8> = visemes.iter().map(|w| (w * 255.0).round() as u8).collect();
-        let (gap, width) = self.read_out.read(&values);
+        self.step(&values, &weights)
+    }
+
+    /// A frame in the device's own numbers.
+    fn step(&mut self, values: &[i16], viseme_weights: &[u8]) -> Result<()> {
+        let (gap, width) = self.read_out.read(values);
         self.servos.step(&Mouth {
             gap,
             width,
-            viseme_weights: &weights,
+            viseme_weights,
         });
         self.frames += 1;
+        self.hop()
+    }
+
+    /// A hop without a frame.
+    fn idle(&mut self) -> Result<()> {
+        self.servos.rest();
         self.hop()
     }
 
@@ -322,8 +346,7 @@ impl Follow<'_, '_> {
             .map(|(_, pulse)| pulse)
             .eq(centres.iter().copied())
         {
-            self.servos.rest();
-            self.hop()?;
+            self.idle()?;
         }
         Ok(())
     }
