@@ -79,7 +79,7 @@ impl Section {
 
 static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
-/// The checksum of models: the CRC-32 of zip and PNG.
+/// The checksum of models, and of what else lies in flash: the CRC-32 of zip and PNG.
 pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }

@@ -16,6 +16,7 @@ use super::Pulse;
 use super::bytes::{Bytes, Table};
 use super::read_out::{self, ReadOut};
 use crate::frame::{MAX_PARAMETERS, N_VISEMES};
+use crate::model::container::checksum;
 
 /// Most channels of a calibration.
 pub const MAX_CHANNELS: usize = 6;
@@ -54,8 +55,6 @@ const fn size(channels: usize, parameters: usize) -> usize {
     };
     HEADER + channels * RECORD + read_out + CRC_SIZE
 }
-
-static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
 /// What a channel moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -310,7 +309,7 @@ impl Calibration {
             return Err(wrong);
         }
         let (body, stated) = bytes.split_last_chunk::<CRC_SIZE>().ok_or(wrong)?;
-        let (stated, computed) = (u32::from_le_bytes(*stated), CRC.checksum(body));
+        let (stated, computed) = (u32::from_le_bytes(*stated), checksum(body));
         if stated != computed {
             return Err(CalibrationError::Checksum { stated, computed });
         }
@@ -353,7 +352,7 @@ impl Calibration {
         if let Some(read_out) = &self.read_out {
             read_out.put(&mut to);
         }
-        let sum = CRC.checksum(&to.0);
+        let sum = checksum(&to.0);
         to.put(&sum.to_le_bytes());
         to.0
     }
