@@ -13,7 +13,7 @@ use lipstream_core::model::container::ALIGNMENT;
 #[cfg(feature = "pico")]
 const SPACE: usize = 116 * 1024;
 #[cfg(feature = "pico2")]
-const SPACE: usize = 384 * 1024;
+const SPACE: usize = 352 * 1024;
 
 /// Whether even [`AUDIO_GATES`] are copied.
 const COPIES_GATES: bool = cfg!(feature = "pico2");
