@@ -21,6 +21,9 @@ mod live;
 
 /// One hop.
 const HOP: Duration = Duration::from_millis(10);
+/// What the first word may be here, beside what [`SourceArgs`] says.
+const SOURCE: &str = "Speech in a sound file (- is standard input), parameters of `lipstream convert` (.csv; .npy without visemes), a recorded stream (.stream), or a \
+                      live device: a serial port (/dev/ttyACM0, /dev/ttyACM0@9600) or tcp://HOST:PORT [default: the device that is plugged in]";
 /// Characters of a bar.
 const BAR: usize = 12;
 
@@ -30,6 +33,7 @@ const BAR: usize = 12;
 /// device's serial port, --mic, --wav in real time. The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at
 /// their centres and go back there at the end.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("source", |source| source.help(SOURCE)))]
 pub(crate) struct Args {
     #[command(flatten)]
     source: SourceArgs,
