@@ -1,7 +1,8 @@
 //! Servos: what a damaged table says, that limits hold whatever is asked for, how far a mouth of servos lags behind.
+use lipstream_core::model::container::checksum;
 use lipstream_core::servo::{
-    Axis, Calibration, CalibrationError, Channel, MAX_CHANNELS, Mouth, N_CURVE, Role, STRAIGHT, Servos,
-    WEIGHT_ONE, output,
+    Axis, Calibration, CalibrationError, Channel, Driver, Line, MAX_CHANNELS, Mouth, N_CURVE, RAMP_HOPS,
+    ReadOut, Role, STAGGER_HOPS, STRAIGHT, Servos, WEIGHT_ONE, output, stated_length,
 };
 
 /// Numbers that look random, the same at every run (Marsaglia 2003, *Xorshift RNGs*).
@@ -277,4 +278,132 @@ fn lines_are_what_the_boards_read() {
     // 1500 µs are 307.4 ticks of 4.88 µs; output 3 begins at register 0x12.
     assert_eq!(output::pca9685(3, 6_000), Some([0x12, 0, 0, 0x33, 0x01]));
     assert_eq!(output::pca9685(16, 6_000), None);
+}
+
+/// A read-out of two parameters for model 7: the gap rises with the first, the width falls with the second.
+fn read_out() -> ReadOut {
+    let gap = Line::of(1_000, 4, &[32_000, 0]).unwrap();
+    let width = Line::of(0, 0, &[0, -2]).unwrap();
+    ReadOut::of(7, gap, width).unwrap()
+}
+
+#[test]
+fn a_read_out_is_linear_rounded_and_cut() {
+    let read = read_out();
+    assert_eq!((read.model(), read.n_parameters()), (7, 2));
+    assert_eq!(read.read(&[0, 0]), (1_000, 0));
+    assert_eq!(read.read(&[3, 5]), (1_000 + 6_000, -10));
+    // Half a unit goes up: 1 · 8 / 16.
+    let line = |shift, slopes: &[i16]| Line::of(0, shift, slopes).unwrap();
+    let half = ReadOut::of(7, line(4, &[8]), line(4, &[8])).unwrap();
+    assert_eq!(half.read(&[1]), (1, 1));
+    assert_eq!(half.read(&[-1]), (0, 0));
+    assert_eq!(read.read(&[i16::MIN, i16::MAX]), (0, -i16::MAX));
+    assert_eq!(read.read(&[i16::MAX, i16::MIN]), (i16::MAX, i16::MAX));
+    // As many parameters as there may be, all as large as can be.
+    let most = Line::of(-(1 << 18), 0, &[i16::MIN; 96]).unwrap();
+    let most = ReadOut::of(7, most.clone(), most).unwrap();
+    assert_eq!(most.read(&[i16::MIN; 96]), (i16::MAX, i16::MAX));
+    assert_eq!(most.read(&[i16::MAX; 96]), (0, -i16::MAX));
+    assert_eq!(Line::of(0, 31, &[1]), None);
+    assert_eq!(Line::of(1 << 19, 0, &[1]), None);
+    assert_eq!(Line::of(0, 0, &[1; 97]), None);
+    assert_eq!(ReadOut::of(7, line(0, &[1]), line(0, &[1, 2])), None);
+}
+
+/// Driver and read-out come back; whatever byte of the table changes, the table is refused.
+#[test]
+fn a_table_with_a_read_out_is_read_and_checked() {
+    let calibration = Calibration::of(&[jaw()])
+        .unwrap()
+        .driven_by(Driver::Pca9685)
+        .reading(Some(read_out()));
+    let mut table = calibration.to_bytes();
+    assert_eq!(Calibration::new_checked(&table).as_ref(), Ok(&calibration));
+    assert_eq!(calibration.read_out(), Some(&read_out()));
+    assert!(calibration.needs_read_out());
+    // In a flash region that goes on behind it.
+    let length = table.len();
+    let mut region = table.to_vec();
+    region.extend([0xff; 100]);
+    assert_eq!(stated_length(&region), Some(length));
+    for erased in [[0xff; 64], [0; 64]] {
+        assert_eq!(stated_length(&erased), None);
+        assert_eq!(
+            Calibration::new_checked(&erased),
+            Err(CalibrationError::NoCalibration)
+        );
+    }
+    for at in 0..length {
+        for bit in 0..8 {
+            table[at] ^= 1 << bit;
+            assert!(Calibration::new_checked(&table).is_err(), "byte {at} bit {bit}");
+            table[at] ^= 1 << bit;
+        }
+        assert!(Calibration::new_checked(&table[..at]).is_err());
+    }
+    // What a checksum does not find, since it was written so.
+    let rewritten = |at: usize, byte: u8| {
+        let mut wrong = table.to_vec();
+        wrong[at] = byte;
+        let body = wrong.len() - 4;
+        let sum = checksum(&wrong[..body]);
+        wrong[body..].copy_from_slice(&sum.to_le_bytes());
+        Calibration::new_checked(&wrong)
+    };
+    assert_eq!(rewritten(12, 4), Err(CalibrationError::Driver));
+    assert_eq!(rewritten(13, 1), Err(CalibrationError::Driver));
+    assert_eq!(rewritten(15, 1), Err(CalibrationError::ReadOut), "256 parameters");
+    let gap_shift = 16 + 46 + 4 + 4;
+    assert_eq!(table[gap_shift], 4);
+    assert_eq!(rewritten(gap_shift, 31), Err(CalibrationError::ReadOut));
+    assert_eq!(rewritten(gap_shift + 1, 1), Err(CalibrationError::ReadOut));
+    for name in Driver::NAMES {
+        assert_eq!(Driver::of_name(name).map(Driver::name), Some(name));
+    }
+    assert_eq!(Driver::of_name("pin"), None);
+}
+
+#[test]
+fn a_slow_start_is_one_servo_after_the_other_and_then_a_quarter_of_the_speed() {
+    let channels = [0, 1].map(|output| Channel {
+        output,
+        acceleration: 240,
+        ..jaw()
+    });
+    let mut servos = Servos::slowly(&Calibration::of(&channels).unwrap());
+    let wide = Mouth {
+        gap: i16::MAX,
+        ..Mouth::default()
+    };
+    let closed = Mouth::default();
+    assert!(
+        servos.driven().all(|(_, pulse)| pulse.is_none()),
+        "no pulse before the first hop"
+    );
+    for hop in 0..2 * STAGGER_HOPS {
+        servos.step(&wide);
+        let second = (hop >= STAGGER_HOPS).then_some(4_000);
+        assert_eq!(
+            servos.driven().collect::<Vec<_>>(),
+            [(0, Some(4_000)), (1, second)],
+            "hop {hop}"
+        );
+    }
+    // Back and forth, so that the speed of every moment is seen.
+    let (mut before, mut fastest) = (4_000, vec![0; 4]);
+    for hop in 0..4 * 50 {
+        servos.step(if hop / 10 % 2 == 0 { &wide } else { &closed });
+        let (_, pulse) = servos.pulses().next().unwrap();
+        let speed = (i32::from(pulse) - before).abs();
+        let most = 240 * (100 + 3 * i32::from(RAMP_HOPS).min(hop)) / 400;
+        assert!(speed <= most, "hop {hop}: {speed} of {most}");
+        let at = &mut fastest[hop as usize / 50];
+        *at = speed.max(*at);
+        before = i32::from(pulse);
+    }
+    assert!(
+        fastest.is_sorted() && fastest[0] > 60 && fastest[3] == 240,
+        "{fastest:?}"
+    );
 }

@@ -1,7 +1,7 @@
 //! The examples in `docs/wire.md` are what the code sends and reads.
 use lipstream_core::wire::{
-    Frame, Group, Hello, MAX_ENCODED, Message, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
-    encode,
+    Frame, Group, Hello, MAX_ENCODED, MAX_NOTICE, Message, Notice, PROTOCOL, Pcm, Profile, Receiver, Status,
+    ToDevice, ToHost, encode,
 };
 
 const DOCUMENT: &str = include_str!("../../docs/wire.md");
@@ -122,6 +122,10 @@ fn examples_hold() {
             unknown: 1,
         }),
     );
+    check_to_host(
+        "Notice",
+        ToHost::Notice(Notice::new(format_args!("servos stay off"))),
+    );
     check_to_device("Start", ToDevice::Start);
     check_to_device("Stop", ToDevice::Stop);
     check_to_device("Hello from the host", ToDevice::Hello { protocol: PROTOCOL });
@@ -132,5 +136,21 @@ fn examples_hold() {
     check_to_device(
         "Pcm 0, three samples",
         ToDevice::Pcm(Pcm::new(0, &[1, -2, 300], &mut bytes)),
+    );
+}
+
+/// What does not fit is left out, and no letter is cut in two.
+#[test]
+fn a_long_notice_is_cut_at_a_letter() {
+    let notice = Notice::new(format_args!("x{:µ>200}", ""));
+    assert_eq!(notice.text.len(), MAX_NOTICE - 1);
+    assert!(notice.text.ends_with('µ'));
+    let bytes = encode(&ToHost::Notice(notice.clone()), &mut [0; MAX_ENCODED])
+        .unwrap()
+        .to_vec();
+    let mut receiver = Receiver::new();
+    assert_eq!(
+        receive::<ToHost>(&mut receiver, &bytes),
+        Some(ToHost::Notice(notice))
     );
 }

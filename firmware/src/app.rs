@@ -9,6 +9,7 @@ use lipstream_core::wire::{
 use lipstream_core::{Model, ParameterFrame, Stream, StreamSettings};
 
 use crate::pace::Pace;
+use crate::servo::{Follower, NoServos};
 
 /// Parameter frames that are made in a second.
 pub(crate) const RATE_HZ: u16 = (SAMPLE_RATE_HZ / HOP_SAMPLES as u32) as u16;
@@ -33,16 +34,27 @@ pub trait Clock {
     fn ticks(&self) -> u32;
 }
 
-/// The device's end of the line, with a model of kind `K`.
-pub struct App<'m, K: Kind<'m>, L, C> {
+/// Samples without a frame after which servos go back to rest: half a second.
+const STANDSTILL_SAMPLES: usize = SAMPLE_RATE_HZ as usize / 2;
+
+/// The device's end of the line, with a model of kind `K` and what follows its frames.
+pub struct App<'m, K: Kind<'m>, L, C, F = NoServos> {
     receiver: Receiver,
-    engine: Engine<'m, K, L, C>,
+    engine: Engine<'m, K, L, C, F>,
 }
 
 impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
-    /// Waits for `Start`. Inlined into the place that it is made for, as the stream is.
+    /// Waits for `Start`, without servos. Inlined into the place that it is made for, as the stream is.
     #[inline(always)]
     pub fn new(model: &'m Model<'m, K>, line: L, clock: C) -> Self {
+        Self::followed_by(model, line, clock, NoServos)
+    }
+}
+
+impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> App<'m, K, L, C, F> {
+    /// The same with servos that follow its frames.
+    #[inline(always)]
+    pub fn followed_by(model: &'m Model<'m, K>, line: L, clock: C, follower: F) -> Self {
         let now = clock.ticks();
         let pace = pace(model, &line);
         Self {
@@ -61,6 +73,8 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
                 status: Status::default(),
                 busy_ticks: 0,
                 round_began: now,
+                follower,
+                still: 0,
             },
         }
     }
@@ -93,7 +107,10 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
 
     /// Sound from the board itself, cut anywhere. Ignored before [`App::start`], and from the first `Pcm` to the next start: the host's
     /// sound is not mixed with the room's.
+    ///
+    /// The board's own sound is also what tells the time to servos that get no frames: they go back to rest.
     pub fn samples(&mut self, samples: &[i16]) {
+        self.engine.stand_still(samples.len());
         if !self.engine.from_host {
             self.engine.samples(samples);
         }
@@ -118,7 +135,7 @@ fn pace<'m, K: Kind<'m>>(model: &Model<'m, K>, line: &impl Line) -> Pace {
 }
 
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
-struct Engine<'m, K: Kind<'m>, L, C> {
+struct Engine<'m, K: Kind<'m>, L, C, F> {
     model: &'m Model<'m, K>,
     stream: Stream<'m, K>,
     line: L,
@@ -139,9 +156,12 @@ struct Engine<'m, K: Kind<'m>, L, C> {
     busy_ticks: u32,
     /// When the last `Status` was sent.
     round_began: u32,
+    follower: F,
+    /// Samples of the board's own sound since the last frame or hop of rest.
+    still: usize,
 }
 
-impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
+impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
     fn obey(&mut self, message: &ToDevice) {
         match *message {
             ToDevice::Start => self.start(),
@@ -151,7 +171,10 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
-            ToDevice::Hello { .. } => self.say_hello(),
+            ToDevice::Hello { .. } => {
+                self.say_hello();
+                self.say_notice();
+            }
         }
     }
 
@@ -181,6 +204,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         // Ends whatever stands half sent on the line.
         self.line.send(&[0]);
         self.say_hello();
+        self.say_notice();
     }
 
     fn stop(&mut self) {
@@ -237,6 +261,15 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         self.status.overruns = self.status.overruns.saturating_add(hops);
     }
 
+    /// So many samples went by. When none of them has brought a frame for a while, servos go on towards rest, a hop at a time.
+    fn stand_still(&mut self, samples: usize) {
+        self.still += samples;
+        while self.still >= STANDSTILL_SAMPLES + HOP_SAMPLES {
+            self.still -= HOP_SAMPLES;
+            self.follower.idle();
+        }
+    }
+
     fn worked_since(&mut self, began: u32) {
         let ticks = self.clock.ticks().wrapping_sub(began);
         self.busy_ticks = self.busy_ticks.saturating_add(ticks);
@@ -244,6 +277,13 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
 
     /// Sends a frame, if it is one for the line, and, once a second, how to read it and how it goes.
     fn give(&mut self, frame: &ParameterFrame) {
+        let began = self.clock.ticks();
+        self.follower.frame(frame);
+        self.still = 0;
+        self.worked_since(began);
+        if self.follower.has_news() {
+            self.say_notice();
+        }
         if self.made.is_multiple_of(self.pace.every()) {
             let message = ToHost::Frame(Frame::new(self.sequence, frame));
             if !self.say(&message) {
@@ -268,6 +308,12 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
             lag,
         );
         self.say(&ToHost::Hello(hello));
+    }
+
+    fn say_notice(&mut self) {
+        if let Some(notice) = self.follower.notice().cloned() {
+            self.say(&ToHost::Notice(notice));
+        }
     }
 
     fn say_status(&mut self) {

@@ -12,6 +12,7 @@ pub mod pace;
 pub mod pdm;
 pub mod port;
 pub mod ring;
+pub mod servo;
 pub mod turn;
 
 pub use app::{App, Clock, Line};

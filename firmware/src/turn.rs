@@ -3,6 +3,7 @@ use lipstream_core::kinds::Kind;
 use lipstream_core::{HOP_SAMPLES, SAMPLE_RATE_HZ};
 
 use crate::port::{IN, Ports};
+use crate::servo::Follower;
 use crate::{App, Clock};
 
 /// Microphones need up to 256 ms after their clock began until their output has settled; what comes before must not open the mouth.
@@ -41,9 +42,9 @@ impl Turn {
 
     /// Takes what came from the host and from the microphone; `heartbeat` is called twice a second of sound. Whether there was any sound: if
     /// not, the processor may sleep.
-    pub fn take<'m, K: Kind<'m>, C: Clock>(
+    pub fn take<'m, K: Kind<'m>, C: Clock, F: Follower>(
         &mut self,
-        app: &mut App<'m, K, Ports, C>,
+        app: &mut App<'m, K, Ports, C, F>,
         microphone: &mut impl Microphone,
         heartbeat: impl FnOnce(),
     ) -> bool {

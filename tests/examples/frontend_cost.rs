@@ -1,4 +1,4 @@
-//! Counts the front end's instructions, stage by stage, on a Cortex-M target in QEMU's mps2-an386 with
+//! Counts the front end's instructions, stage by stage, and those of servos, on a Cortex-M target in QEMU's mps2-an386 with
 //! `-icount shift=6,align=off,sleep=off`. `tests/cost` builds it, runs it and reads the lines it prints.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 
@@ -13,12 +13,16 @@ mod target {
     use core::hint::black_box;
 
     use cortex_m_rt::entry;
+    use lipstream_core::frame::N_VISEMES;
     use lipstream_core::frontend::delta::Deltas;
     use lipstream_core::frontend::energy::{self, Energy};
     use lipstream_core::frontend::fft::{self, Complex, FFT_HALF};
     use lipstream_core::frontend::mel::{self, N_MEL};
     use lipstream_core::frontend::normalise::Normaliser;
     use lipstream_core::frontend::{Config, FrontEnd, dct, log, window};
+    use lipstream_core::servo::{
+        Calibration, Channel, Line, MAX_CHANNELS, Mouth, ReadOut, Role, STRAIGHT, Servos,
+    };
     use lipstream_core::{FRAME_SAMPLES, HOP_SAMPLES, N_STATIC};
     use lipstream_tests::frontend::{start_mean, voice};
     use semihosting::{println, process};
@@ -81,6 +85,51 @@ mod target {
     #[inline(never)]
     fn log_mel(sums: &[u64; N_MEL], bits: u32) -> [i32; N_MEL] {
         log::log_mel(sums, bits)
+    }
+
+    /// Parameters of the shipped model.
+    const N_PARAMETERS: usize = 30;
+
+    /// Gap and width of the shipped model's parameters, and a step of as many servos as there may be, each moved by everything there is.
+    fn servos(nothing: u32) {
+        let line = Line::of(0, 8, &[300; N_PARAMETERS]).expect("a line");
+        let read_out = ReadOut::of(1, line.clone(), line).expect("two lines");
+        let channels: [Channel; MAX_CHANNELS] = core::array::from_fn(|k| Channel {
+            role: Role::Spare,
+            output: k as u8,
+            reversed: k % 2 == 1,
+            lowest: 4_000,
+            centre: 5_000,
+            highest: 8_000,
+            speed: 240,
+            acceleration: 60,
+            gap_weight: 20,
+            width_weight: -20,
+            viseme_weights: [30; N_VISEMES],
+            curve: STRAIGHT,
+        });
+        let mut servos = Servos::new(&Calibration::of(&channels).expect("channels"));
+        let (mut sum, mut worst) = (0, 0);
+        const HOPS: u32 = 400;
+        for hop in 0..HOPS {
+            let values = [(hop as i16 / 23 % 5 - 2) * 900; N_PARAMETERS];
+            let mut viseme_weights = [0; N_VISEMES];
+            viseme_weights[hop as usize / 9 % N_VISEMES] = 255;
+            let (spent, ()) = count(|| {
+                let (gap, width) = read_out.read(black_box(&values));
+                servos.step(&Mouth {
+                    gap,
+                    width,
+                    viseme_weights: black_box(&viseme_weights),
+                });
+                black_box(servos.driven().last());
+            });
+            sum += spent - nothing;
+            worst = worst.max(spent - nothing);
+        }
+        println!("instructions servos_mean {}", sum / HOPS);
+        println!("instructions servos_worst {worst}");
+        println!("bytes servos {}", size_of::<Servos>() + size_of::<ReadOut>());
     }
 
     #[entry]
@@ -172,6 +221,7 @@ mod target {
         });
         println!("bytes stack {stack}");
         println!("bytes state {}", size_of::<FrontEnd>());
+        servos(nothing);
         process::exit(0)
     }
 

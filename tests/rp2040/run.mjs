@@ -5,10 +5,12 @@
 //   { "program": "pico", "sound": "in.pcm", "folder": "out", "stack": [lowest, past the highest], "events": [...],
 //     "flash": [[address, byte], ...], "milliseconds": 5000 }
 //
-// The sound is 16 kHz, i16, low byte first. Into the folder go usb.wire and uart.wire, what the board sent, and report.json. Events are what
+// The sound is 16 kHz, i16, low byte first. Into the folder go usb.wire and uart.wire, what the board sent, pulses.json, what its servo
+// pins did ([pin, when it rose, how long it was high], µs), and report.json. Events are what
 // the host does, each at its millisecond since the sound began (the microphone has settled, the program has started), in order:
 //
-//   { "ms": 20, "usb": "hex bytes" }, { "ms": 30, "uart": "hex bytes" }, { "ms": 40, "open": false }, { "ms": 50, "reading": false }
+//   { "ms": 20, "usb": "hex bytes" }, { "ms": 30, "uart": "hex bytes" }, { "ms": 40, "open": false }, { "ms": 50, "reading": false },
+//   { "ms": 60, "fault": true }: the processor takes a hard fault; the report says when
 //
 // What the emulator lacks, and who steps in:
 //   the ROM                not to be had: execution begins where the ROM would jump, at the program's vector table;
@@ -33,6 +35,8 @@ import {
 const FLASH = 0x10000000;
 const VECTORS = 0x10000100;
 const [CLOCK, SELECT, DATA, LED] = [16, 17, 18, 25];
+const SERVOS = [2, 3, 4, 5, 6, 7];
+const HARD_FAULT = 3;
 /** Bits of a microphone's word below those that the firmware makes a sample of. */
 const BELOW = 13;
 /** Samples while a microphone settles: 300 ms. In the first slot no microphone can see where it began. */
@@ -174,7 +178,12 @@ let awaited;
 mcu.usbCtrl.onEndpointRead = (endpoint, size) => {
   if (endpoint > 0) awaited = { endpoint, size };
 };
-function happen({ usb, uart, open, reading: reads }) {
+let faultUs;
+function happen({ usb, uart, open, reading: reads, fault }) {
+  if (fault) {
+    faultUs = mcu.clock.nanos / 1000;
+    mcu.core.exceptionEntry(HARD_FAULT);
+  }
   if (usb) toSend.push(...Buffer.from(usb, 'hex'));
   if (uart) for (const byte of Buffer.from(uart, 'hex')) mcu.uart[0].feedByte(byte);
   if (open !== undefined) port.cdcSetControlLineState(open);
@@ -188,6 +197,20 @@ port.onSerialData = (bytes) => said.usb.push(...bytes);
 let [blinks, watchdog] = [0, 0];
 mcu.peripherals[0x40058].onWatchdogTrigger = () => watchdog++;
 mcu.gpio[LED].addListener(() => blinks++);
+
+/** Pulses of the servo pins. The clock of an edge is that of the timer that made it, not of the instruction after it. */
+const pulses = [];
+for (const pin of SERVOS) {
+  let rose;
+  mcu.gpio[pin].addListener((state) => {
+    const now = mcu.clock.nanos / 1000;
+    if (state === GPIOPinState.High) rose = now;
+    else if (rose !== undefined) {
+      pulses.push([pin, rose, now - rose]);
+      rose = undefined;
+    }
+  });
+}
 
 const pio = mcu.pio[0];
 pio.run = () => {};
@@ -221,10 +244,11 @@ while (microphone.over < 1600 && clock.nanos < milliseconds * 1e6) {
   }
 }
 for (const [name, bytes] of Object.entries(said)) writeFileSync(join(folder, `${name}.wire`), Uint8Array.from(bytes));
+writeFileSync(join(folder, 'pulses.json'), JSON.stringify(pulses));
 const bitClock = (mcu.clkSys / (pio.machines[0].clockDivInt + pio.machines[0].clockDivFrac / 256)) / 2;
 // cortex-m-rt painted the stack; what was used lost its paint.
 let lowest = stack[0];
 while (lowest < stack[1] && mcu.readUint32(lowest) === 0xcccccccc) lowest += 4;
-const report = { clockHz: mcu.clkSys, cycles, awake, misses: cache.misses, blinks, watchdog, bitClock, stackUsed: stack[1] - lowest, stackSize: stack[1] - stack[0] };
+const report = { clockHz: mcu.clkSys, faultUs, cycles, awake, misses: cache.misses, blinks, watchdog, bitClock, stackUsed: stack[1] - lowest, stackSize: stack[1] - stack[0] };
 writeFileSync(join(folder, 'report.json'), JSON.stringify(report));
 process.exit(0);

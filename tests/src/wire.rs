@@ -135,6 +135,11 @@ fn payload(message: &Either) -> Bytes {
             varint(&mut out, status.narrowed);
             varint(&mut out, status.unknown);
         }
+        Either::ToHost(ToHost::Notice(notice)) => {
+            out.push(3);
+            varint(&mut out, notice.text.len() as u32);
+            out.extend(notice.text.as_bytes());
+        }
         Either::ToDevice(ToDevice::Start) => out.push(0),
         Either::ToDevice(ToDevice::Stop) => out.push(1),
         Either::ToDevice(ToDevice::Hello { protocol }) => out.extend(&[4, *protocol]),
@@ -235,6 +240,12 @@ fn for_messages(mut check: impl FnMut(&Either)) {
             narrowed: overruns / 7,
             unknown: overruns / 11,
         })));
+    }
+    for length in [0, 1, 127, 128, 160] {
+        check(&Either::ToHost(ToHost::Notice(Notice::new(format_args!(
+            "{:x>length$}",
+            ""
+        )))));
     }
     check(&Either::ToDevice(ToDevice::Start));
     check(&Either::ToDevice(ToDevice::Stop));
@@ -560,7 +571,7 @@ pub fn refusals_name_their_reason() {
 /// A whole message of a number that nobody has yet is skipped by name; the same number damaged is damage.
 pub fn unknown_messages_are_told_from_damage() {
     for (payload, number) in [
-        (&[3][..], 3),
+        (&[4][..], 4),
         (&[5, 1, 2, 3], 5),
         (&[0x80, 1, 9], 0x80),
         (&[255; 40], 255),
@@ -570,7 +581,7 @@ pub fn unknown_messages_are_told_from_damage() {
             outcome_at_host(bytes.as_slice()),
             Err(WireError::Unknown { number })
         );
-        // 3 is the host's `Pcm`.
+        // 4 is the host's `Hello`.
         let at_device = match number {
             3 => WireError::Malformed,
             _ => WireError::Unknown { number },

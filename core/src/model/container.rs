@@ -79,7 +79,7 @@ impl Section {
 
 static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
-/// The checksum of models: the CRC-32 of zip and PNG.
+/// The checksum of models, and of what else lies in flash: the CRC-32 of zip and PNG.
 pub fn checksum(bytes: &[u8]) -> u32 {
     CRC.checksum(bytes)
 }
@@ -102,11 +102,20 @@ pub struct Sections<'a> {
     bytes: &'a [u8],
     count: usize,
     taken: usize,
+    place: Place<'a>,
 }
+
+/// Where a section's bytes are read from: those that it is given, or a copy of them where reading is faster.
+pub type Place<'a> = fn(Section, &'a [u8]) -> &'a [u8];
 
 impl<'a> Sections<'a> {
     /// Checks everything but the sections' contents.
     pub fn open(bytes: &'a [u8]) -> Result<Self, ModelError> {
+        Self::open_placed(bytes, |_, section| section)
+    }
+
+    /// The same; every section that is taken is read from where `place` says.
+    pub fn open_placed(bytes: &'a [u8], place: Place<'a>) -> Result<Self, ModelError> {
         let have = bytes.len();
         if bytes.get(..MAGIC.len()).is_some_and(|b| b != MAGIC) {
             return Err(ModelError::NoModel);
@@ -147,6 +156,7 @@ impl<'a> Sections<'a> {
             bytes,
             count,
             taken: 0,
+            place,
         };
         sections.check_table(body.len())?;
         Ok(sections)
@@ -193,7 +203,8 @@ impl<'a> Sections<'a> {
             .map(|at| self.entry(at))
             .find(|(tag, ..)| *tag == section.tag)?;
         self.taken += 1;
-        self.bytes.get(offset..offset.saturating_add(length))
+        let bytes = self.bytes.get(offset..offset.saturating_add(length))?;
+        Some((self.place)(section, bytes))
     }
 
     /// The bytes of a section, whatever their number.

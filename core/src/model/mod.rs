@@ -18,7 +18,7 @@ pub use parts::{I16s, U16s, put_f32s, put_i16s, put_i32s, put_u16s, put_u32s};
 pub(crate) use parts::{i32s, u16_at, u32_at};
 
 use crate::kinds::Kind;
-use container::Sections;
+use container::{Place, Sections};
 
 /// A model of kind `K` whose bytes have been checked. It borrows the bytes and copies none of the tables.
 #[derive(Clone, Copy, Debug)]
@@ -34,7 +34,20 @@ impl<'a, K: Kind<'a>> Model<'a, K> {
     ///
     /// [`ModelError`] says what is wrong; [`ModelError::OtherKind`] if they are a model, but of another kind.
     pub fn new_checked(bytes: &'a [u8]) -> Result<Self, ModelError> {
-        let mut sections = Sections::open(bytes)?;
+        Self::of(Sections::open(bytes)?)
+    }
+
+    /// The same, its sections in several kinds of memory: each is read from where `place` says, the very bytes or a copy of them. A device has a
+    /// fast memory that does not hold all of a model, and a slow one that does.
+    ///
+    /// # Errors
+    ///
+    /// As [`Model::new_checked`]. What is checked is what will be read.
+    pub fn new_placed(bytes: &'a [u8], place: Place<'a>) -> Result<Self, ModelError> {
+        Self::of(Sections::open_placed(bytes, place)?)
+    }
+
+    fn of(mut sections: Sections<'a>) -> Result<Self, ModelError> {
         let kind = sections.kind();
         if kind != K::TAG {
             return Err(match crate::kinds::name_of(kind) {

@@ -5,12 +5,18 @@
 //! | 8 | [`MAGIC`] |
 //! | 2 | [`VERSION`] |
 //! | 2 | number of channels, 1 to 6 |
+//! | 1 | [`Driver`]: what makes the pulses; 1 byte 0 |
+//! | 2 | D, parameters of the read-out, or 0 where there is none |
 //! | 46 each | a channel: role, output, reversed (0 or 1), 0; lowest, centre, highest, speed, acceleration (u16); weights of gap, width and 13 visemes (i8), 0; curve (8 × u16) |
+//! | 20 + 4 D | the read-out ([`ReadOut`]), if there is one |
 //! | 4 | CRC-32 of all before it |
 use core::fmt;
 
 use super::Pulse;
-use crate::frame::N_VISEMES;
+use super::bytes::{Bytes, Table};
+use super::read_out::{self, ReadOut};
+use crate::frame::{MAX_PARAMETERS, N_VISEMES};
+use crate::model::container::checksum;
 
 /// Most channels of a calibration.
 pub const MAX_CHANNELS: usize = 6;
@@ -32,16 +38,23 @@ pub const WEIGHT_ONE: i8 = 64;
 /// First bytes of a calibration.
 const MAGIC: [u8; 8] = *b"lipservo";
 /// Layout of the table.
-const VERSION: u16 = 1;
-const HEADER: usize = 12;
+const VERSION: u16 = 2;
+const HEADER: usize = 16;
 const RECORD: usize = 14 + 2 + N_VISEMES + 1 + 2 * N_CURVE;
 const CRC_SIZE: usize = 4;
-/// Bytes of a calibration with all channels.
-pub const LONGEST_CALIBRATION: usize = HEADER + MAX_CHANNELS * RECORD + CRC_SIZE;
+/// Bytes of a calibration with all channels and all parameters.
+pub const LONGEST_CALIBRATION: usize = size(MAX_CHANNELS, MAX_PARAMETERS);
 /// Pulses that hobby servos understand, ¼ µs: 400 to 2600 µs. What lies outside is a mistake of the table.
 const PULSES: core::ops::RangeInclusive<Pulse> = 1_600..=10_400;
 
-static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+const fn size(channels: usize, parameters: usize) -> usize {
+    let read_out = if parameters == 0 {
+        0
+    } else {
+        read_out::size(parameters)
+    };
+    HEADER + channels * RECORD + read_out + CRC_SIZE
+}
 
 /// What a channel moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,6 +84,47 @@ impl Role {
         Self::Tongue,
         Self::Spare,
     ];
+}
+
+/// What makes a device's pulses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Driver {
+    /// The board's own pins.
+    #[default]
+    Pins,
+    /// NXP's PCA9685 on the board's I²C bus.
+    Pca9685,
+    /// Pololu's Maestro on a serial line.
+    Maestro,
+    /// Another board that reads lines of pulses in µs.
+    Csv,
+}
+
+impl Driver {
+    const ALL: [Self; 4] = [Self::Pins, Self::Pca9685, Self::Maestro, Self::Csv];
+
+    /// The word for it in calibrations that people write, and in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Pins => "pins",
+            Self::Pca9685 => "pca9685",
+            Self::Maestro => "maestro",
+            Self::Csv => "csv",
+        }
+    }
+
+    /// The driver of this name.
+    pub fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|driver| driver.name() == name)
+    }
+
+    /// Every name, in order.
+    pub const NAMES: [&'static str; 4] = {
+        let [a, b, c, d] = Self::ALL;
+        [a.name(), b.name(), c.name(), d.name()]
+    };
 }
 
 /// One servo.
@@ -122,6 +176,10 @@ pub enum CalibrationError {
     Channel { channel: usize, what: &'static str },
     /// Two channels of one output.
     SameOutput { output: u8 },
+    /// A driver that this program does not know, or bytes beside it that are not 0.
+    Driver,
+    /// A number of the read-out that cannot be, or too many parameters.
+    ReadOut,
 }
 
 impl fmt::Display for CalibrationError {
@@ -148,20 +206,63 @@ impl fmt::Display for CalibrationError {
             ),
             Self::Channel { channel, what } => write!(f, "servo calibration, channel {channel}: {what}"),
             Self::SameOutput { output } => write!(f, "servo calibration: two channels have output {output}"),
+            Self::Driver => f.write_str("servo calibration: a driver that this program does not know"),
+            Self::ReadOut => f.write_str("servo calibration: a read-out of gap and width that cannot be"),
         }
     }
 }
 
 impl core::error::Error for CalibrationError {}
 
-/// Channels that have been checked.
+/// Channels that have been checked, what makes their pulses, and how gap and width are read.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Calibration {
     channels: heapless::Vec<Channel, MAX_CHANNELS>,
+    driver: Driver,
+    read_out: Option<ReadOut>,
+}
+
+/// How long the table says it is that these bytes begin with; none where they begin with no table of this version. For one that lies in a
+/// larger region of memory: everything else about it is still to be checked.
+pub fn stated_length(bytes: &[u8]) -> Option<usize> {
+    let (channels, _, parameters) = header(&mut Bytes(bytes)).ok()?;
+    Some(size(channels, parameters))
+}
+
+/// Number of channels, number of the driver, number of parameters; what is wrong with the first of them that is.
+fn header(from: &mut Bytes) -> Result<(usize, u8, usize), CalibrationError> {
+    let have = from.0.len();
+    if from.take() != Some(MAGIC) {
+        return Err(CalibrationError::NoCalibration);
+    }
+    let cut = CalibrationError::Length {
+        have,
+        need: size(1, 0),
+    };
+    let version = from.u16().ok_or(cut)?;
+    if version != VERSION {
+        return Err(CalibrationError::Version {
+            have: version,
+            want: VERSION,
+        });
+    }
+    let channels = usize::from(from.u16().ok_or(cut)?);
+    if channels == 0 || channels > MAX_CHANNELS {
+        return Err(CalibrationError::Channels { have: channels });
+    }
+    let [driver, zero] = from.take().ok_or(cut)?;
+    let parameters = usize::from(from.u16().ok_or(cut)?);
+    if zero != 0 {
+        return Err(CalibrationError::Driver);
+    }
+    if parameters > MAX_PARAMETERS {
+        return Err(CalibrationError::ReadOut);
+    }
+    Ok((channels, driver, parameters))
 }
 
 impl Calibration {
-    /// Checks `channels`.
+    /// Checks `channels`. They are driven by the board's pins, and nothing reads gap and width, until it is said otherwise.
     ///
     /// # Errors
     ///
@@ -184,7 +285,11 @@ impl Calibration {
                 });
             }
         }
-        Ok(Self { channels: all })
+        Ok(Self {
+            channels: all,
+            driver: Driver::default(),
+            read_out: None,
+        })
     }
 
     /// Reads a table and checks it.
@@ -193,23 +298,9 @@ impl Calibration {
     ///
     /// [`CalibrationError`]: what is wrong with the bytes.
     pub fn new_checked(bytes: &[u8]) -> Result<Self, CalibrationError> {
-        let mut from = Reader(bytes);
-        if from.take() != Some(MAGIC) {
-            return Err(CalibrationError::NoCalibration);
-        }
-        let cut = CalibrationError::Length {
-            have: bytes.len(),
-            need: HEADER + RECORD + CRC_SIZE,
-        };
-        let have = from.u16().ok_or(cut)?;
-        if have != VERSION {
-            return Err(CalibrationError::Version { have, want: VERSION });
-        }
-        let n = usize::from(from.u16().ok_or(cut)?);
-        if n == 0 || n > MAX_CHANNELS {
-            return Err(CalibrationError::Channels { have: n });
-        }
-        let need = HEADER + n * RECORD + CRC_SIZE;
+        let mut from = Bytes(bytes);
+        let (n, driver, parameters) = header(&mut from)?;
+        let need = size(n, parameters);
         let wrong = CalibrationError::Length {
             have: bytes.len(),
             need,
@@ -218,45 +309,79 @@ impl Calibration {
             return Err(wrong);
         }
         let (body, stated) = bytes.split_last_chunk::<CRC_SIZE>().ok_or(wrong)?;
-        let (stated, computed) = (u32::from_le_bytes(*stated), CRC.checksum(body));
+        let (stated, computed) = (u32::from_le_bytes(*stated), checksum(body));
         if stated != computed {
             return Err(CalibrationError::Checksum { stated, computed });
         }
         let mut channels = heapless::Vec::<Channel, MAX_CHANNELS>::new();
         for channel in 0..n {
-            let read = from.channel().ok_or(wrong)?;
+            let read = self::channel(&mut from).ok_or(wrong)?;
             let read = read.map_err(|what| CalibrationError::Channel { channel, what })?;
             channels.push(read).map_err(|_| wrong)?;
         }
-        Self::of(&channels)
+        let mut calibration = Self::of(&channels)?;
+        let known = Driver::ALL.get(usize::from(driver));
+        calibration.driver = *known.ok_or(CalibrationError::Driver)?;
+        if parameters > 0 {
+            calibration.read_out = Some(ReadOut::parse(&mut from, parameters).ok_or(wrong)??);
+        }
+        Ok(calibration)
     }
 
     /// The table.
     pub fn to_bytes(&self) -> heapless::Vec<u8, LONGEST_CALIBRATION> {
-        let mut bytes = heapless::Vec::new();
-        let mut put = |piece: &[u8]| {
-            let fits = bytes.extend_from_slice(piece);
-            debug_assert!(fits.is_ok(), "LONGEST_CALIBRATION holds all channels");
-        };
-        put(&MAGIC);
-        put(&VERSION.to_le_bytes());
-        put(&(self.channels.len() as u16).to_le_bytes());
+        let mut to = Table::default();
+        to.put(&MAGIC);
+        to.put(&VERSION.to_le_bytes());
+        to.put(&(self.channels.len() as u16).to_le_bytes());
+        to.put(&[self.driver as u8, 0]);
+        let parameters = self.read_out.as_ref().map_or(0, ReadOut::n_parameters);
+        to.put(&(parameters as u16).to_le_bytes());
         for c in &self.channels {
-            put(&[c.role as u8, c.output, u8::from(c.reversed), 0]);
+            to.put(&[c.role as u8, c.output, u8::from(c.reversed), 0]);
             for number in [c.lowest, c.centre, c.highest, c.speed, c.acceleration] {
-                put(&number.to_le_bytes());
+                to.put(&number.to_le_bytes());
             }
-            put(&[c.gap_weight, c.width_weight].map(i8::cast_unsigned));
-            put(&c.viseme_weights.map(i8::cast_unsigned));
-            put(&[0]);
+            to.put(&[c.gap_weight, c.width_weight].map(i8::cast_unsigned));
+            to.put(&c.viseme_weights.map(i8::cast_unsigned));
+            to.put(&[0]);
             for point in c.curve {
-                put(&point.to_le_bytes());
+                to.put(&point.to_le_bytes());
             }
         }
-        let sum = CRC.checksum(&bytes);
-        let fits = bytes.extend_from_slice(&sum.to_le_bytes());
-        debug_assert!(fits.is_ok(), "LONGEST_CALIBRATION holds the checksum");
-        bytes
+        if let Some(read_out) = &self.read_out {
+            read_out.put(&mut to);
+        }
+        let sum = checksum(&to.0);
+        to.put(&sum.to_le_bytes());
+        to.0
+    }
+
+    /// The same channels with another driver.
+    pub fn driven_by(self, driver: Driver) -> Self {
+        Self { driver, ..self }
+    }
+
+    /// The same channels, gap and width read so, or not at all.
+    pub fn reading(self, read_out: Option<ReadOut>) -> Self {
+        Self { read_out, ..self }
+    }
+
+    /// What makes a device's pulses.
+    pub fn driver(&self) -> Driver {
+        self.driver
+    }
+
+    /// How gap and width are read out of parameters, if that is said.
+    pub fn read_out(&self) -> Option<&ReadOut> {
+        self.read_out.as_ref()
+    }
+
+    /// Whether any channel moves by gap or width, so that they must be read.
+    pub fn needs_read_out(&self) -> bool {
+        self.channels
+            .iter()
+            .any(|c| c.gap_weight != 0 || c.width_weight != 0)
     }
 
     /// The channels.
@@ -293,51 +418,36 @@ fn check(channel: &Channel) -> Result<(), &'static str> {
         .map_or(Ok(()), |(_, what)| Err(what))
 }
 
-/// Bytes from the front.
-struct Reader<'a>(&'a [u8]);
-
-impl Reader<'_> {
-    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
-        let (first, rest) = self.0.split_first_chunk::<N>()?;
-        self.0 = rest;
-        Some(*first)
+/// The next channel. None where the bytes end; what is wrong where they say something impossible.
+fn channel(from: &mut Bytes) -> Option<Result<Channel, &'static str>> {
+    let [role, output, reversed, zero] = from.take()?;
+    let [lowest, centre, highest] = [from.u16()?, from.u16()?, from.u16()?];
+    let [speed, acceleration] = [from.u16()?, from.u16()?];
+    let [gap_weight, width_weight] = from.take()?.map(u8::cast_signed);
+    let viseme_weights = from.take()?.map(u8::cast_signed);
+    let [last] = from.take()?;
+    let mut curve = [0; N_CURVE];
+    for point in &mut curve {
+        *point = from.u16()?;
     }
-
-    fn u16(&mut self) -> Option<u16> {
-        self.take().map(u16::from_le_bytes)
+    let Some(role) = Role::ALL.get(usize::from(role)).copied() else {
+        return Some(Err("a role that this program does not know"));
+    };
+    if reversed > 1 || zero != 0 || last != 0 {
+        return Some(Err("a direction or a filling byte that is not 0 or 1"));
     }
-
-    /// None where the bytes end; what is wrong where they say something impossible.
-    fn channel(&mut self) -> Option<Result<Channel, &'static str>> {
-        let [role, output, reversed, zero] = self.take()?;
-        let [lowest, centre, highest] = [self.u16()?, self.u16()?, self.u16()?];
-        let [speed, acceleration] = [self.u16()?, self.u16()?];
-        let [gap_weight, width_weight] = self.take()?.map(u8::cast_signed);
-        let viseme_weights = self.take()?.map(u8::cast_signed);
-        let [last] = self.take()?;
-        let mut curve = [0; N_CURVE];
-        for point in &mut curve {
-            *point = self.u16()?;
-        }
-        let Some(role) = Role::ALL.get(usize::from(role)).copied() else {
-            return Some(Err("a role that this program does not know"));
-        };
-        if reversed > 1 || zero != 0 || last != 0 {
-            return Some(Err("a direction or a filling byte that is not 0 or 1"));
-        }
-        Some(Ok(Channel {
-            role,
-            output,
-            reversed: reversed == 1,
-            lowest,
-            centre,
-            highest,
-            speed,
-            acceleration,
-            gap_weight,
-            width_weight,
-            viseme_weights,
-            curve,
-        }))
-    }
+    Some(Ok(Channel {
+        role,
+        output,
+        reversed: reversed == 1,
+        lowest,
+        centre,
+        highest,
+        speed,
+        acceleration,
+        gap_weight,
+        width_weight,
+        viseme_weights,
+        curve,
+    }))
 }

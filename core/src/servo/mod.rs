@@ -5,16 +5,20 @@
 //! the unit of Pololu's Maestro; [`output`] writes it for boards that make pulses.
 //!
 //! A hobby servo does not say where it is. The first pulse is therefore the centre of the table, and the limits hold for the pulses from
-//! then on, not for the way from wherever the horn was found.
+//! then on, not for the way from wherever the horn was found. What is switched on together with its servos begins slowly ([`Servos::slowly`]): one
+//! servo after the other, so that the supply is not asked for all their starting currents at once, and then at a quarter of their speed.
+mod bytes;
 mod calibration;
 mod motion;
 pub mod output;
+mod read_out;
 
 pub use calibration::{
-    Calibration, CalibrationError, Channel, LONGEST_CALIBRATION, MAX_CHANNELS, N_CURVE, Role, STRAIGHT,
-    WEIGHT_ONE,
+    Calibration, CalibrationError, Channel, Driver, LONGEST_CALIBRATION, MAX_CHANNELS, N_CURVE, Role,
+    STRAIGHT, WEIGHT_ONE, stated_length,
 };
 pub use motion::Axis;
+pub use read_out::{Line, ReadOut};
 
 use crate::fixed::saturate_i16;
 
@@ -33,35 +37,71 @@ pub struct Mouth<'a> {
     pub viseme_weights: &'a [u8],
 }
 
+/// Hops between the first pulses of two channels that begin slowly. A hobby servo is where it was sent in less.
+pub const STAGGER_HOPS: u16 = 25;
+/// Hops that it then takes from a quarter of the speed to all of it.
+pub const RAMP_HOPS: u16 = 100;
+
 /// Where every channel of a calibration is.
 #[derive(Clone, Debug)]
 pub struct Servos {
     channels: heapless::Vec<(Channel, Axis), MAX_CHANNELS>,
+    /// Hops since the beginning, of those that begin slowly, as far as they can be counted; others are as old as can be.
+    age: u16,
 }
 
 impl Servos {
-    /// All channels at their centres, at rest.
+    /// All channels at their centres, at rest, and free to move.
     pub fn new(calibration: &Calibration) -> Self {
         let channels = calibration.channels().iter();
         Self {
             channels: channels
                 .map(|channel| (*channel, Axis::at(channel.centre)))
                 .collect(),
+            age: u16::MAX,
+        }
+    }
+
+    /// The same for servos that were without pulses so far: at the first hop channel 0 gets its first pulse, [`STAGGER_HOPS`] later the next one, and as long
+    /// after the last all begin to move, during [`RAMP_HOPS`] slower than they may.
+    pub fn slowly(calibration: &Calibration) -> Self {
+        Self {
+            age: 0,
+            ..Self::new(calibration)
         }
     }
 
     /// One hop of 10 ms towards what `mouth` asks for.
     pub fn step(&mut self, mouth: &Mouth) {
-        for (channel, axis) in &mut self.channels {
-            axis.step(channel, channel.target(mouth));
-        }
+        self.advance(|channel| channel.target(mouth));
     }
 
     /// One hop towards the centres, for a stream that has ended.
     pub fn rest(&mut self) {
-        for (channel, axis) in &mut self.channels {
-            axis.step(channel, channel.centre);
+        self.advance(|channel| channel.centre);
+    }
+
+    fn advance(&mut self, target: impl Fn(&Channel) -> Pulse) {
+        // At most 6 · 25.
+        let awake = self.channels.len() as u16 * STAGGER_HOPS;
+        if let Some(ramp) = self.age.checked_sub(awake) {
+            let ramp = u32::from(ramp.min(RAMP_HOPS));
+            for (channel, axis) in &mut self.channels {
+                // A quarter, and the other three with time; at most 2¹⁶ · 100.
+                let share = u32::from(RAMP_HOPS) + 3 * ramp;
+                let speed = u32::from(channel.speed) * share / (4 * u32::from(RAMP_HOPS));
+                axis.step_at(channel, target(channel), speed.max(1) as u16);
+            }
         }
+        self.age = self.age.saturating_add(1);
+    }
+
+    /// Number of the output, and its pulse if the channel has begun, channel by channel.
+    pub fn driven(&self) -> impl ExactSizeIterator<Item = (u8, Option<Pulse>)> {
+        self.channels.iter().enumerate().map(|(k, (channel, axis))| {
+            let begun = usize::from(self.age) > k * usize::from(STAGGER_HOPS);
+            (channel.output, begun.then(|| axis.pulse()))
+        })
     }
 
     /// Number of the output and its pulse, channel by channel.

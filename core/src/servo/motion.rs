@@ -32,8 +32,13 @@ impl Axis {
 
     /// One hop towards `target`, which need not lie between the end stops.
     pub fn step(&mut self, channel: &Channel, target: Pulse) {
+        self.step_at(channel, target, channel.speed);
+    }
+
+    /// The same at another speed, at most the channel's. A speed that grows from hop to hop changes nothing about what the head of this file says.
+    pub(super) fn step_at(&mut self, channel: &Channel, target: Pulse, speed: u16) {
         let (lowest, highest) = (i32::from(channel.lowest), i32::from(channel.highest));
-        let (speed, acceleration) = (i32::from(channel.speed), i32::from(channel.acceleration));
+        let (speed, acceleration) = (i32::from(speed), i32::from(channel.acceleration));
         let way = i32::from(target).clamp(lowest, highest) - self.position;
         let wanted = way.signum() * brakeable(way.abs(), acceleration);
         self.velocity = wanted

@@ -3,6 +3,9 @@ use core::fmt::{self, Write};
 
 use super::Pulse;
 
+/// The target that ends a Maestro's pulses.
+pub const MAESTRO_OFF: Pulse = 0;
+
 /// Maestro's command "Set Target" in the compact protocol (Pololu, *Maestro Servo Controller User's Guide*): 0x84, channel, low seven and
 /// high seven bits of the pulse in ¼ µs. A checked calibration has no output above 127 and no pulse of more than 14 bits.
 pub fn maestro(output: u8, pulse: Pulse) -> [u8; 4] {
@@ -31,6 +34,14 @@ pub fn csv(pulses: impl Iterator<Item = Pulse>, to: &mut impl Write) -> fmt::Res
 pub const PCA9685_PRESCALE: u8 = 121;
 /// Register of the prescaler; it is written while the chip sleeps.
 pub const PCA9685_PRESCALE_REGISTER: u8 = 0xfe;
+/// Register of the mode: [`PCA9685_SLEEP`] at first, then [`PCA9685_AWAKE`].
+pub const PCA9685_MODE_REGISTER: u8 = 0x00;
+/// Its oscillator stands; bit SLEEP alone.
+pub const PCA9685_SLEEP: u8 = 0x10;
+/// It runs, and registers increment by themselves; bit AI alone.
+pub const PCA9685_AWAKE: u8 = 0x20;
+/// Register, and what is written there, that ends the pulses of all outputs (ALL_LED_OFF_H, full OFF).
+pub const PCA9685_ALL_OFF: [u8; 2] = [0xfd, 0x10];
 
 /// What is written to a PCA9685 for one output: its first register, then on-time 0 and off-time in ticks of 4.88 µs. None above output 15, the
 /// chip's last. The chip must increment its registers by itself (MODE1, bit AI).

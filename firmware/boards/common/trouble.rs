@@ -1,4 +1,4 @@
-//! What ends the program ends it visibly: words on the UART, a code on the LED, and then a new start.
+//! What ends the program ends it visibly: servos let go, words on the UART, a code on the LED, and then a new start.
 //!
 //! | LED | |
 //! |---|---|
@@ -6,7 +6,7 @@
 //! | three times, pause | a hard fault |
 //!
 //! A program that hangs, and a processor that gave up (a fault within a fault: the stack was too small), are started again by the watchdog. A
-//! board says in its own `visible` how it sends a byte, turns its LED, and keeps its watchdog waiting.
+//! board says in its own `visible` how it ends its servos' pulses, sends a byte, turns its LED, and keeps its watchdog waiting.
 use core::fmt::{self, Write};
 
 use cortex_m::peripheral::SCB;
@@ -30,6 +30,7 @@ impl Write for Words {
 
 fn end(blinks: u32, words: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
+    visible::release();
     // Between zeros, so that a receiver of messages is back in step.
     let _ = write!(Words, "\0lipstream: {words}\r\n\0");
     for _ in 0..ROUNDS {

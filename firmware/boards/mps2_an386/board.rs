@@ -4,9 +4,11 @@ use core::ptr::{read_volatile, write_volatile};
 use cortex_m::interrupt::InterruptNumber;
 use cortex_m::peripheral::NVIC;
 use lipstream_firmware::Clock;
+use lipstream_firmware::servo::lines::Sender;
 
-/// UART0, a CMSDK APB UART.
+/// UART0 and UART1, CMSDK APB UARTs.
 const UART0: usize = 0x4000_4000;
+const UART1: usize = 0x4000_5000;
 /// FPGA I/O, counter at 25 MHz.
 const COUNTER: usize = 0x4002_8018;
 
@@ -25,6 +27,7 @@ const SEND_FULL: u32 = 1;
 const RECEIVE_FULL: u32 = 2;
 /// Bits of CONTROL: both directions, and an interrupt for every byte that comes.
 const ENABLE: u32 = 0b1011;
+const SENDS: u32 = 0b0001;
 /// Bit of INTERRUPTS.
 const RECEIVED: u32 = 2;
 /// 16 is the smallest divisor that works; QEMU takes no time for a byte whatever it is.
@@ -63,6 +66,19 @@ pub(crate) fn uart0() -> (Uart, Uart) {
     write(UART0 + register::BAUD_DIVISOR, DIVISOR);
     write(UART0 + register::CONTROL, ENABLE);
     (Uart(UART0), Uart(UART0))
+}
+
+/// UART1 ready to send.
+pub(crate) fn uart1() -> Uart {
+    write(UART1 + register::BAUD_DIVISOR, DIVISOR);
+    write(UART1 + register::CONTROL, ENABLE & SENDS);
+    Uart(UART1)
+}
+
+impl Sender for Uart {
+    fn put(&mut self, byte: u8) {
+        Self::put(self, byte);
+    }
 }
 
 impl Uart {

@@ -1,6 +1,6 @@
 //! lipstream on Arm's MPS2 with application note 386 (Cortex-M4), as QEMU plays it.
 //!
-//! Without arguments it speaks `docs/wire.md` on UART0. With the semihosting argument `--files` it reads raw samples
+//! Without arguments it speaks `docs/wire.md` on UART0, and on UART1 to servos, a Maestro's or a CSV board's. With the semihosting argument `--files` it reads raw samples
 //! (i16, low byte first) from `input.pcm` in QEMU's folder, writes what it would send to `output.wire`, says how much
 //! stack it used and ends: for long recordings, since the UART is slower than real time here.
 #![no_std]
@@ -9,6 +9,8 @@
 mod board;
 #[path = "../common/model.rs"]
 mod model;
+#[path = "../common/servos.rs"]
+mod servo_flash;
 #[path = "../common/stack.rs"]
 mod stack;
 
@@ -16,6 +18,9 @@ use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::Model;
+use lipstream_core::servo::Driver;
+use lipstream_firmware::servo::lines::{Csv, Maestro};
+use lipstream_firmware::servo::{Either, Rig};
 use lipstream_firmware::{App, Line};
 use model::Kind;
 use semihosting::experimental::env;
@@ -26,9 +31,11 @@ use static_cell::StaticCell;
 
 static MODEL: StaticCell<DeviceModel> = StaticCell::new();
 static APP: StaticCell<DeviceApp> = StaticCell::new();
+static SERVOS: StaticCell<Servos> = StaticCell::new();
 
 type DeviceModel = Model<'static, Kind>;
-type DeviceApp = App<'static, Kind, Wire, Counter>;
+type DeviceApp = App<'static, Kind, Wire, Counter, &'static mut Servos>;
+type Servos = Rig<Either<Maestro<Uart>, Csv<Uart>>>;
 
 const INPUT: &CStr = c"input.pcm";
 const OUTPUT: &CStr = c"output.wire";
@@ -67,13 +74,30 @@ impl Line for Wire {
 
 /// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
 #[inline(never)]
-fn make_app(model: &'static DeviceModel, wire: Wire, counter: Counter) -> &'static mut DeviceApp {
-    APP.init_with(|| App::new(model, wire, counter))
+fn make_app(
+    model: &'static DeviceModel,
+    wire: Wire,
+    counter: Counter,
+    servos: &'static mut Servos,
+) -> &'static mut DeviceApp {
+    APP.init_with(|| App::followed_by(model, wire, counter, servos))
+}
+
+/// The servos in their place, for the same reason.
+#[inline(never)]
+fn make_servos(model: &DeviceModel) -> &'static mut Servos {
+    SERVOS.init_with(|| {
+        Rig::new(servo_flash::calibration(), model.head(), |driver| match driver {
+            Driver::Maestro => Ok(Either::A(Maestro(board::uart1()))),
+            Driver::Csv => Ok(Either::B(Csv(board::uart1()))),
+            Driver::Pins | Driver::Pca9685 => Err("this board has maestro and csv"),
+        })
+    })
 }
 
 fn on_uart(model: &'static DeviceModel) -> ! {
     let (sender, receiver) = board::uart0();
-    let app = make_app(model, Wire::Uart(sender), Counter::Running);
+    let app = make_app(model, Wire::Uart(sender), Counter::Running, make_servos(model));
     loop {
         app.receive(receiver.get());
     }
@@ -113,7 +137,7 @@ fn on_files(model: &'static DeviceModel) -> ! {
         filled: 0,
     };
     // What is written must not depend on the time that it took.
-    let app = make_app(model, Wire::File(line), Counter::Still);
+    let app = make_app(model, Wire::File(line), Counter::Still, make_servos(model));
     let starting = stack::used();
     stack::repaint();
     app.start();

@@ -28,5 +28,14 @@ fn pins(p0: p0::Parts, p1: p1::Parts) -> BoardPins {
             .degrade(),
         pdm_clock: p0.p0_26.into_push_pull_output(Level::Low).degrade(),
         pdm_data: p0.p0_25.into_floating_input().degrade(),
+        // D2 to D7.
+        servos: [
+            p1.p1_11.into_push_pull_output(Level::Low).degrade(),
+            p1.p1_12.into_push_pull_output(Level::Low).degrade(),
+            p1.p1_15.into_push_pull_output(Level::Low).degrade(),
+            p1.p1_13.into_push_pull_output(Level::Low).degrade(),
+            p1.p1_14.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_23.into_push_pull_output(Level::Low).degrade(),
+        ],
     }
 }

@@ -2,6 +2,9 @@
 #[path = "../common/model.rs"]
 mod model;
 mod pdm;
+#[path = "../common/servos.rs"]
+mod servo_flash;
+mod servos;
 #[path = "../common/trouble.rs"]
 mod trouble;
 pub(crate) mod uart;
@@ -24,9 +27,10 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use model::Kind;
 use pdm::Microphone;
+use servos::{ServoPins, Servos};
 
 type DeviceModel = Model<'static, Kind>;
-type DeviceApp = App<'static, Kind, Ports, Microseconds>;
+type DeviceApp = App<'static, Kind, Ports, Microseconds, &'static mut Servos>;
 type Clocks = nrf52840_hal::Clocks<ExternalOscillator, Internal, LfOscStopped>;
 
 static MODEL: StaticCell<DeviceModel> = StaticCell::new();
@@ -47,6 +51,7 @@ pub(crate) struct BoardPins {
     pub(crate) power: Pin<Output<PushPull>>,
     pub(crate) pdm_clock: Pin<Output<PushPull>>,
     pub(crate) pdm_data: Pin<Input<Floating>>,
+    pub(crate) servos: ServoPins,
 }
 
 /// TIMER0 at 1 MHz.
@@ -74,8 +79,13 @@ impl Clock for Microseconds {
 
 /// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
 #[inline(never)]
-fn make_app(model: &'static DeviceModel, ports: Ports, clock: Microseconds) -> &'static mut DeviceApp {
-    APP.init_with(|| App::new(model, ports, clock))
+fn make_app(
+    model: &'static DeviceModel,
+    ports: Ports,
+    clock: Microseconds,
+    servos: &'static mut Servos,
+) -> &'static mut DeviceApp {
+    APP.init_with(|| App::followed_by(model, ports, clock, servos))
 }
 
 /// Everything, for ever.
@@ -90,6 +100,7 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         power: _stays_high,
         pdm_clock,
         pdm_data,
+        servos,
     } = pins(p0::Parts::new(board.P0), p1::Parts::new(board.P1));
     visible::led_is(led.pin());
 
@@ -115,7 +126,14 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
-    let app = make_app(model, ports, Microseconds::begin(board.TIMER0));
+    let servos = servos::begin(
+        board.PWM0,
+        board.PWM1,
+        &servos,
+        servo_flash::calibration(),
+        model.head(),
+    );
+    let app = make_app(model, ports, Microseconds::begin(board.TIMER0), servos);
     let mut microphone = Microphone::begin(board.PDM, &pdm_clock, &pdm_data);
     processor.SYST.set_clock_source(SystClkSource::Core);
     processor.SYST.set_reload(PROCESSOR_HZ / WAKE_HZ - 1);

@@ -1,4 +1,4 @@
-//! Words and light without interrupts, when the program is over (`common/trouble.rs`).
+//! Words, light and servos without interrupts, when the program is over (`common/trouble.rs`).
 use core::sync::atomic::{AtomicU32, Ordering};
 
 use nrf52840_hal::pac;
@@ -53,4 +53,13 @@ pub(crate) fn begin_watchdog(watchdog: &pac::WDT) {
 pub(crate) fn keep() {
     // SAFETY: the word that reloads it, from wherever it is written.
     unsafe { (*pac::WDT::ptr()).rr[0].write(|w| w.bits(0x6e52_4635)) };
+}
+
+/// Ends all pulses, with the period that has begun.
+pub(crate) fn release() {
+    // SAFETY: stopping has no other effect, whether they were begun or not.
+    unsafe {
+        (*pac::PWM0::ptr()).tasks_stop.write(|w| w.bits(1));
+        (*pac::PWM1::ptr()).tasks_stop.write(|w| w.bits(1));
+    }
 }

@@ -3,12 +3,17 @@
 //! | pin | |
 //! |---|---|
 //! | GP0, GP1 | UART: what the board sends, what it hears |
+//! | GP2 to GP7, GP20, GP21 | servos, see [`servos`] |
 //! | GP16, GP17, GP18 | I²S: bit clock, word select, data |
 //! | GP25 | LED |
+mod fast;
 mod hot;
 mod i2s;
 #[path = "../common/model.rs"]
 mod model;
+#[path = "../common/servos.rs"]
+mod servo_flash;
+mod servos;
 #[path = "../common/trouble.rs"]
 mod trouble;
 mod uart;
@@ -32,26 +37,16 @@ use hal::gpio::{FunctionPio0, FunctionUart, Pins, PullDown, PullUp};
 use hal::pac;
 use i2s::Microphone;
 use model::Kind;
+use servos::{Servos, Ways};
 
-/// Where the model is copied to: the flash's cache is small, and what it misses takes fifty cycles.
-static MODEL_BYTES: ConstStaticCell<ModelBytes> = ConstStaticCell::new(ModelBytes([0; MODEL_SPACE]));
 static MODEL: StaticCell<DeviceModel> = StaticCell::new();
 static APP: StaticCell<DeviceApp> = StaticCell::new();
+static SERVOS: StaticCell<Servos> = StaticCell::new();
 static USB_QUEUES: ConstStaticCell<Queues> = ConstStaticCell::new(Queues::new());
 static UART_QUEUES: ConstStaticCell<Queues> = ConstStaticCell::new(Queues::new());
 
 type DeviceModel = Model<'static, Kind>;
-type DeviceApp = App<'static, Kind, Ports, Microseconds>;
-
-/// Room for a model in RAM; a larger one runs from flash, more slowly.
-#[cfg(feature = "pico")]
-const MODEL_SPACE: usize = 182 * 1024;
-#[cfg(feature = "pico2")]
-const MODEL_SPACE: usize = 384 * 1024;
-
-/// Sections of a model lie at multiples of four.
-#[repr(align(4))]
-struct ModelBytes([u8; MODEL_SPACE]);
+type DeviceApp = App<'static, Kind, Ports, Microseconds, &'static mut Servos>;
 
 /// Both boards' crystal.
 pub(crate) const CRYSTAL_HZ: u32 = 12_000_000;
@@ -75,20 +70,19 @@ impl Clock for Microseconds {
 
 /// The application in its place. A function of its own, so that what it takes to make one leaves the stack again.
 #[inline(never)]
-fn make_app(model: &'static DeviceModel, ports: Ports, clock: Microseconds) -> &'static mut DeviceApp {
-    APP.init_with(|| App::new(model, ports, clock))
+fn make_app(
+    model: &'static DeviceModel,
+    ports: Ports,
+    clock: Microseconds,
+    servos: &'static mut Servos,
+) -> &'static mut DeviceApp {
+    APP.init_with(|| App::followed_by(model, ports, clock, servos))
 }
 
-/// The model in RAM, where there is room for it.
-fn copied(model: &'static [u8]) -> &'static [u8] {
-    let place = MODEL_BYTES.take();
-    match place.0.get_mut(..model.len()) {
-        Some(copy) => {
-            copy.copy_from_slice(model);
-            copy
-        }
-        None => model,
-    }
+/// The servos in their place, for the same reason.
+#[inline(never)]
+fn make_servos(ways: Ways, model: &DeviceModel) -> &'static mut Servos {
+    SERVOS.init_with(|| ways.rig(servo_flash::calibration(), model.head()))
 }
 
 /// Everything, for ever.
@@ -152,12 +146,23 @@ pub(crate) fn run() -> ! {
             uart::serve();
         },
     };
+    let ways = Ways::begin(
+        board.PWM,
+        board.I2C0,
+        &mut board.RESETS,
+        clocks.system_clock.freq(),
+        (
+            pins.gpio2, pins.gpio3, pins.gpio4, pins.gpio5, pins.gpio6, pins.gpio7,
+        ),
+        (pins.gpio20, pins.gpio21),
+    );
     // With the ports at hand, to say it where it is wrong.
-    let model = match Model::new_checked(copied(model::in_flash())) {
+    let model = match Model::new_placed(model::in_flash(), fast::place) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
-    let app = make_app(model, ports, Microseconds(timer));
+    let servos = make_servos(ways, model);
+    let app = make_app(model, ports, Microseconds(timer), servos);
     let mut microphone = Microphone::begin(
         board.PIO0,
         board.DMA,

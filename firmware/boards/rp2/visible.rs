@@ -1,6 +1,7 @@
-//! Words and light without interrupts, when the program is over (`common/trouble.rs`).
+//! Words, light and servos without interrupts, when the program is over (`common/trouble.rs`).
 use crate::hal;
 use hal::pac;
+use lipstream_core::servo::output::PCA9685_ALL_OFF;
 
 /// The LED's pin.
 const LED: u32 = 25;
@@ -34,4 +35,23 @@ pub(crate) fn keep() {
     // SAFETY: as above.
     let watchdog = unsafe { &*pac::WATCHDOG::ptr() };
     watchdog.ctrl().modify(|_, w| w.enable().clear_bit());
+}
+
+/// Ends all pulses: those on the pins with the period that has begun, those of a PCA9685 as soon as its bus has carried two bytes.
+pub(crate) fn release() {
+    // SAFETY: as above; compare values of 0, and two bytes for a bus that its controller sends by itself.
+    unsafe {
+        let pwm = &*pac::PWM::ptr();
+        for slice in 1..=3 {
+            pwm.ch(slice).cc().write(|w| w.bits(0));
+        }
+        let bus = &*pac::I2C0::ptr();
+        if bus.ic_enable().read().enable().bit_is_set() {
+            let [register, value] = PCA9685_ALL_OFF;
+            // Behind whatever was being sent, as a message of its own.
+            bus.ic_data_cmd()
+                .write(|w| w.restart().set_bit().dat().bits(register));
+            bus.ic_data_cmd().write(|w| w.stop().set_bit().dat().bits(value));
+        }
+    }
 }

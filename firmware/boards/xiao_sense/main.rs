@@ -28,5 +28,14 @@ fn pins(p0: p0::Parts, p1: p1::Parts) -> BoardPins {
             .degrade(),
         pdm_clock: p1.p1_00.into_push_pull_output(Level::Low).degrade(),
         pdm_data: p0.p0_16.into_floating_input().degrade(),
+        // D0 to D5.
+        servos: [
+            p0.p0_02.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_03.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_28.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_29.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_04.into_push_pull_output(Level::Low).degrade(),
+            p0.p0_05.into_push_pull_output(Level::Low).degrade(),
+        ],
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use common::program::{refuse, run, succeed, text};
 use lipstream::engine::{Engine, RunSettings};
 use lipstream::opening::OpeningReader;
-use lipstream_core::servo::{Calibration, Mouth};
+use lipstream_core::servo::{Calibration, Driver, Mouth, ReadOut};
 use lipstream_media::sound::Reader;
 
 fn data(name: &str) -> String {
@@ -35,6 +35,60 @@ fn table(folder: &Path) -> Calibration {
         ],
     );
     Calibration::new_checked(&std::fs::read(folder.join("servos.table")).unwrap()).unwrap()
+}
+
+/// What a device needs: what makes its pulses, how its model's gap and width are read, and nothing where no channel asks for them.
+#[test]
+fn a_table_says_how_a_device_reads_its_model() {
+    let folder = common::folder("servo-table");
+    let calibration = table(&folder);
+    let id = Engine::shipped().model_id();
+    assert_eq!(calibration.read_out().map(ReadOut::model), id);
+    assert_eq!(calibration.driver(), Driver::Pins);
+    let json = std::fs::read_to_string(data("servos.json")).unwrap();
+    let written = |json: String, more: &[&str]| {
+        std::fs::write(folder.join("own.json"), json).unwrap();
+        let words = ["servo", "-c", "own.json", "--write-table", "own.table"];
+        succeed(&folder, &[&words[..], more].concat());
+        Calibration::new_checked(&std::fs::read(folder.join("own.table")).unwrap()).unwrap()
+    };
+    let with = |driver: &str| json.replacen('{', &format!("{{ \"driver\": \"{driver}\","), 1);
+    let other = common::root()
+        .join("models/grid-s1-timit.safetensors")
+        .display()
+        .to_string();
+    let own = written(with("pca9685"), &["-m", &other]);
+    assert_eq!(own.driver(), Driver::Pca9685);
+    let theirs = own.read_out().map(ReadOut::model);
+    assert!(theirs.is_some() && theirs != id);
+    succeed(&folder, &["export", &other, "-o", "other.tables"]);
+    let tables = "other.tables";
+    let visemes = json
+        .replace("\"gap\": 1.0", "\"visemes\": { \"lr1\": 1 }")
+        .replace("\"width\": 1.0, ", "");
+    assert_eq!(written(visemes, &["-m", tables]).read_out(), None);
+    std::fs::write(folder.join("wrong.json"), with("pin")).unwrap();
+    let line = refuse(
+        &folder,
+        &["servo", "-c", "wrong.json", "--write-table", "no.table"],
+    );
+    assert!(
+        line.contains("\"pin\" is no driver; there are pins, pca9685, maestro, csv"),
+        "{line}"
+    );
+    let line = refuse(
+        &folder,
+        &[
+            "servo",
+            "-c",
+            "servos.table",
+            "--write-table",
+            "no.table",
+            "-m",
+            tables,
+        ],
+    );
+    assert!(line.contains("name its .safetensors"), "{line}");
 }
 
 /// End stops, speed and acceleration of every channel.
@@ -273,6 +327,98 @@ fn a_recorded_stream_moves_servos_with_its_own_model_only() {
     let other = model("grid-s1-timit.safetensors");
     let line = refuse(&folder, &[&of_stream[..], &["-m", &other]].concat());
     assert!(line.contains("a.stream was made by another model"), "{line}");
+}
+
+/// Speech in real time, as a microphone or a device brings it: the jaw opens as it does for the file, within its limits, and rests at the end.
+#[test]
+fn a_live_source_moves_servos_in_its_own_time() {
+    let folder = common::folder("servo-live");
+    let calibration = table(&folder);
+    let json = data("servos.json");
+    let begun = std::time::Instant::now();
+    let words = [
+        "servo",
+        "--wav",
+        &data("hello.wav"),
+        "-c",
+        &json,
+        "-o",
+        "live.csv",
+        "--to",
+        "csv:frames.csv",
+    ];
+    let output = run(&folder, &words);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(
+        begun.elapsed().as_secs_f64() > 4.0,
+        "4.2 s of speech in {:?}",
+        begun.elapsed()
+    );
+    assert!(
+        text(&output.stderr).contains("the servos followed for "),
+        "{}",
+        text(&output.stderr)
+    );
+    let rows = pulses(&std::fs::read_to_string(folder.join("live.csv")).unwrap());
+    assert_limits(&rows, &calibration);
+    assert!(rows.len() > 400, "{} hops", rows.len());
+    let most = |rows: &[Vec<i32>]| rows.iter().map(|row| row[0]).max().unwrap();
+    let heard = pulses(&succeed(&folder, &["servo", &data("hello.wav"), "-c", &json]));
+    // A busy computer leaves hops out: not every peak is reached.
+    assert!(
+        most(&rows) - 4_000 > (most(&heard) - 4_000) / 2,
+        "{} {}",
+        most(&rows),
+        most(&heard)
+    );
+    assert_eq!(rows.last().unwrap(), &[4000, 6000]);
+    assert!(
+        std::fs::read_to_string(folder.join("frames.csv"))
+            .unwrap()
+            .lines()
+            .count()
+            > 400
+    );
+
+    let refused = |words: &[&str]| refuse(&folder, &[&["servo", "-c", &json], words].concat());
+    assert!(refused(&["a.csv", "--to", "json:x"]).contains("--to wants a live source"));
+    let device = model_device();
+    let line = refused(&[&device, "-o", "none.csv"]);
+    assert!(line.contains("runs model 00000001"), "{line}");
+    assert!(!folder.join("none.csv").exists());
+}
+
+/// A device of another model, at a TCP port.
+fn model_device() -> String {
+    use std::io::Write as _;
+
+    use lipstream_core::wire::{Group, Hello, MAX_ENCODED, PROTOCOL, ToHost, encode};
+
+    let hello = ToHost::Hello(Hello {
+        protocol: PROTOCOL,
+        model: 1,
+        rate_hz: 100,
+        lag_samples: 1000,
+        visemes: 13,
+        groups: [Group {
+            name: "mouth".try_into().unwrap(),
+            size: 2,
+        }]
+        .into_iter()
+        .collect(),
+        scales: [1.0; 2].into_iter().collect(),
+    });
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tcp://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (mut line, _) = listener.accept().unwrap();
+        let bytes = encode(&hello, &mut [0; MAX_ENCODED]).unwrap().to_vec();
+        // Until the program has read enough and hangs up.
+        while line.write_all(&bytes).is_ok() {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+        }
+    });
+    address
 }
 
 /// What a board reads at the other end of a serial port, in real time.

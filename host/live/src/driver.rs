@@ -352,6 +352,11 @@ impl Running {
         match message {
             ToHost::Hello(hello) => self.hello(hello),
             ToHost::Frame(frame) => self.frame(frame),
+            ToHost::Notice(notice) => {
+                // Whatever a device sends, it is one line here.
+                let words = notice.text.replace(char::is_control, " ");
+                self.say_once(Level::Info, &format!("the device says: {words}"));
+            }
             ToHost::Status(status) => {
                 self.status = status;
                 if std::mem::take(&mut self.ending) {

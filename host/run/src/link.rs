@@ -152,7 +152,7 @@ impl Link {
                 }
             }
             ToHost::Frame(frame) => Ok(self.accept_frame(frame)),
-            ToHost::Status(_) => Ok(true),
+            ToHost::Status(_) | ToHost::Notice(_) => Ok(true),
         }
     }
 
@@ -182,7 +182,7 @@ impl Link {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use lipstream_core::wire::{Group, Status};
+    use lipstream_core::wire::{Group, Notice, Status};
 
     fn bytes(message: &ToHost) -> Vec<u8> {
         encode(message, &mut [0; MAX_ENCODED]).unwrap().to_vec()
@@ -347,14 +347,18 @@ mod tests {
     #[test]
     fn unknown_messages_are_skipped_and_counted() {
         let mut line = bytes(&hello(5, 3));
-        for number in [3, 9, 255] {
+        let notice = ToHost::Notice(Notice::new(format_args!("servos stay off")));
+        line.extend(bytes(&notice));
+        for number in [4, 9, 255] {
             line.extend(framed(&[number, 1, 2, 0, 7]));
             line.extend(bytes(&frame(0, 3)));
         }
         // A number of this protocol whose fields do not fit is damage.
         line.extend(framed(&[2, 1]));
         let mut link = Link::new(None);
-        assert_eq!(received(&mut link, &line).len(), 4);
+        let messages = received(&mut link, &line);
+        assert_eq!(messages.len(), 5);
+        assert_eq!(messages[1], notice);
         let losses = link.losses();
         assert_eq!((losses.unknown, losses.damaged, losses.frames), (3, 1, 0));
     }

@@ -7,6 +7,7 @@
 use std::path::Path;
 
 use lipstream_core::model::container::MAGIC;
+use lipstream_core::servo::{self, ReadOut};
 use lipstream_media::files;
 use ndarray::{Array1, Array2, Array4};
 use rand::SeedableRng;
@@ -24,6 +25,9 @@ const MOUTHS: usize = 400;
 const PENALTY: f64 = 0.02;
 /// A mouth as wide open, as wide or as narrow as it ever is in speech: so many deviations from its mean.
 const FAR: f32 = 2.0;
+
+/// Most fraction bits of a device's slopes: beyond these nothing is gained.
+const DEVICE_SHIFT: u8 = 24;
 
 /// How open and how wide a mouth is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -45,6 +49,25 @@ impl Line {
     fn at(&self, parameters: &[f32]) -> f32 {
         let products = parameters.iter().zip(&self.slopes).map(|(p, s)| p * s);
         self.offset + products.sum::<f32>()
+    }
+
+    /// In whole numbers, with as many fraction bits as the steepest slope leaves room for.
+    fn for_device(&self, scales: &[f32]) -> Option<servo::Line> {
+        let one = f64::from(i16::MAX);
+        if self.slopes.len() > scales.len() {
+            return None;
+        }
+        // Parameters of other groups change nothing.
+        let slopes = self.slopes.iter().chain(std::iter::repeat(&0.0)).zip(scales);
+        let slopes: Vec<f64> = slopes
+            .map(|(slope, scale)| one * f64::from(*slope) * f64::from(*scale))
+            .collect();
+        let steepest = slopes.iter().fold(0.0, |most: f64, slope| most.max(slope.abs()));
+        let fits = |shift: &u8| (steepest * f64::from(1_u32 << shift)).round() <= one;
+        let shift = (0..=DEVICE_SHIFT).rev().find(fits)?;
+        let whole = |slope: &f64| (slope * f64::from(1_u32 << shift)).round() as i16;
+        let whole: Vec<i16> = slopes.iter().map(whole).collect();
+        servo::Line::of((one * f64::from(self.offset)).round() as i32, shift, &whole)
     }
 }
 
@@ -111,6 +134,16 @@ impl OpeningReader {
             true => Ok(Self::of(&MouthSpace::load(&tensors)?)),
             false => Ok(None),
         }
+    }
+
+    /// The same for a device, whose parameters `[D]` are whole numbers of `scales`: what a servo's calibration carries. None where there are no
+    /// parameters, more than a frame has, or a line too steep to be written down.
+    pub fn read_out(&self, model: u32, scales: &[f32]) -> Option<ReadOut> {
+        ReadOut::of(
+            model,
+            self.gap.for_device(scales)?,
+            self.width.for_device(scales)?,
+        )
     }
 
     /// The gap of the mean mouth, whose parameters are 0; lips are closed at 0.
@@ -231,6 +264,48 @@ mod tests {
         assert!((0.25..0.75).contains(&half), "{half}");
         let (narrow, wide) = (read(pose(0.3, 1.0, 0.0)).width, read(pose(0.3, 0.0, 1.0)).width);
         assert!(narrow < -0.2 && wide > 0.15, "{narrow} {wide}");
+    }
+
+    /// What a device reads is what is read here, to half a thousandth.
+    #[test]
+    fn a_device_reads_the_same() {
+        use rand::RngExt as _;
+
+        let space = shipped();
+        let reader = OpeningReader::of(&space).unwrap();
+        let engine = crate::engine::Engine::shipped();
+        let scales: Vec<f32> = engine.tables().unwrap().head().parameter_scales().collect();
+        let device = reader.read_out(7, &scales).unwrap();
+        assert_eq!((device.model(), device.n_parameters()), (7, space.size()));
+        let mut rng = Pcg64Mcg::seed_from_u64(3);
+        let (mut worst, mut seen) = (0.0_f32, [f32::MAX, f32::MIN]);
+        for _ in 0..2_000 {
+            let times = rng.random_range(0.0..3.0_f32);
+            let values: Vec<i16> = std::iter::zip(&space.deviation, &scales)
+                .map(|(deviation, scale)| (times * normal(&mut rng) * deviation / scale) as i16)
+                .collect();
+            let real: Vec<f32> = values
+                .iter()
+                .zip(&scales)
+                .map(|(v, s)| f32::from(*v) * s)
+                .collect();
+            let (want, (gap, width)) = (reader.read(&real), device.read(&values));
+            for (want, have) in [(want.gap, gap), (want.width, width)] {
+                worst = worst.max((want - f32::from(have) / 32_767.0).abs());
+                seen = [seen[0].min(want), seen[1].max(want)];
+            }
+        }
+        println!("at most {worst} off");
+        assert!(worst < 5e-4, "{worst}");
+        assert_eq!(seen, [-1.0, 1.0]);
+        assert_eq!(reader.read_out(7, &vec![1e9; space.size()]), None);
+        assert_eq!(reader.read_out(7, &scales[1..]), None);
+        // A group behind the mouth's.
+        let two = reader.read_out(7, &[&scales[..], &[1.0]].concat()).unwrap();
+        let mut values = vec![100; space.size()];
+        let mouth = device.read(&values);
+        values.push(i16::MAX);
+        assert_eq!(two.read(&values), mouth);
     }
 
     #[test]

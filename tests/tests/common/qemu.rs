@@ -28,9 +28,20 @@ fn qemu(program: &Path, words: &[&str]) -> Command {
 
 /// Runs the firmware on a file of samples: what it would have sent, and what it said.
 pub(crate) fn run_on_file(program: &Path, folder: &Path, samples: &[i16]) -> (Vec<u8>, String) {
+    run_on_file_with(program, folder, samples, &[])
+}
+
+/// The same with more words for QEMU.
+pub(crate) fn run_on_file_with(
+    program: &Path,
+    folder: &Path,
+    samples: &[i16],
+    words: &[&str],
+) -> (Vec<u8>, String) {
     let bytes: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
     std::fs::write(folder.join("input.pcm"), bytes).expect("write the samples");
     let output = qemu(program, &["--files"])
+        .args(words)
         .current_dir(folder)
         .output()
         .expect("run qemu-system-arm");

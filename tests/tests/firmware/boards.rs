@@ -7,12 +7,12 @@ use crate::common;
 use crate::common::build::{BOARDS, build_firmware};
 
 /// Bytes at most: of the program without its model; of RAM that lives on, without stack and a model's copy.
-const MOST_PROGRAM: u64 = 128 * 1024;
+const MOST_PROGRAM: u64 = 144 * 1024;
 const MOST_STATIC: u64 = 32 * 1024;
 /// Code and constants that are copied to RAM, at most (`firmware/boards/rp2/hot.x`).
-const MOST_HOT: u64 = 32 * 1024;
-/// Room for a model's copy in RAM, where the board makes one (`firmware/boards/rp2`).
-const COPIES: [(&str, u64); 2] = [("pico", 182 * 1024), ("pico2", 384 * 1024)];
+const MOST_HOT: u64 = 72 * 1024;
+/// Room for copies of a model's sections in RAM, where the board makes them (`firmware/boards/rp2/fast.rs`).
+const COPIES: [(&str, u64); 2] = [("pico", 116 * 1024), ("pico2", 352 * 1024)];
 
 #[test]
 fn every_board_fits() {

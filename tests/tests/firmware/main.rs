@@ -6,3 +6,4 @@ mod boards;
 mod compare;
 mod mps2;
 mod pico;
+mod servos;

@@ -1,4 +1,4 @@
-//! Measures what the front end, a whole stream and the firmware cost on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
+//! Measures what the front end, a whole stream, servos and the firmware cost on Cortex-M and writes `docs/cost.md`, or checks that nothing has grown.
 //!
 //! ```text
 //! cargo xtask cost                                          writes docs/cost.md
@@ -41,6 +41,13 @@ const ROWS: [(&str, &str); 16] = [
     ("bytes state", "state (static RAM), bytes"),
     ("bytes stack", "stack of a hop, bytes"),
     ("bytes flash", "code and tables, bytes"),
+];
+
+/// Rows of the servos' table.
+const SERVO_ROWS: [(&str, &str); 3] = [
+    ("instructions servos_mean", "six servos, mean of a hop"),
+    ("instructions servos_worst", "six servos, worst hop"),
+    ("bytes servos", "state of six servos and the read-out, bytes"),
 ];
 
 /// Rows of the stream's table.
@@ -237,10 +244,11 @@ fn row(name: &str, label: &str, columns: &[Numbers]) -> String {
 }
 
 fn render(columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> String {
-    let mut table = String::from("| | Cortex-M4 (`thumbv7em`) | Cortex-M0+ (`thumbv6m`) |\n|---|---|---|\n");
-    for (name, label) in ROWS {
-        table += &row(name, label, columns);
-    }
+    let both = |rows: &[(&str, &str)]| {
+        let head = "| | Cortex-M4 (`thumbv7em`) | Cortex-M0+ (`thumbv6m`) |\n|---|---|---|\n";
+        let rows = rows.iter().map(|(name, label)| row(name, label, columns));
+        head.to_owned() + &rows.collect::<String>()
+    };
     let mut of_stream = String::from("| | Cortex-M4 |\n|---|---|\n");
     for (name, label) in STREAM_ROWS {
         of_stream += &row(name, label, std::slice::from_ref(stream));
@@ -252,13 +260,14 @@ fn render(columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> String {
     include_str!("cost.md.in")
         .replace("FIRMWARE\n", &of_firmware)
         .replace("STREAM\n", &of_stream)
-        .replace("TABLE\n", &table)
+        .replace("SERVOS\n", &both(&SERVO_ROWS))
+        .replace("TABLE\n", &both(&ROWS))
 }
 
 /// Every number of the committed table, against what was measured now.
 fn compare(text: &str, columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> Result<()> {
     let mut worse = Vec::new();
-    let rows = ROWS.iter().map(|row| (row, columns));
+    let rows = ROWS.iter().chain(&SERVO_ROWS).map(|row| (row, columns));
     let of_stream = STREAM_ROWS.iter().map(|row| (row, std::slice::from_ref(stream)));
     let of_firmware = firmware::ROWS
         .iter()

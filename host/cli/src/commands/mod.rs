@@ -61,7 +61,7 @@ enum Command {
     Prompts(prompts::Args),
     Record(record::Args),
     Render(render::Args),
-    Servo(servo::Args),
+    Servo(Box<servo::Args>),
     Train(Box<train::Train>),
     View(view::Args),
 }
@@ -69,8 +69,13 @@ enum Command {
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
     let command = Cli::parse_from(args).command;
-    // These two end in their own way when somebody presses Ctrl-C: what they have recorded stays.
-    if !matches!(command, Command::Record(_) | Command::View(_)) {
+    // These end in their own way when somebody presses Ctrl-C: what they have recorded stays, and servos go back to rest.
+    let own_end = match &command {
+        Command::Record(_) | Command::View(_) => true,
+        Command::Servo(args) => args.is_live(),
+        _ => false,
+    };
+    if !own_end {
         end_without_leftovers()?;
     }
     let done = match command {
@@ -90,7 +95,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Prompts(args) => prompts::run(args),
         Command::Record(args) => record::run(args),
         Command::Render(args) => render::run(args),
-        Command::Servo(args) => servo::run(args),
+        Command::Servo(args) => servo::run(*args),
         Command::Train(args) => train::run(*args),
         Command::View(args) => view::run(args),
     };

@@ -5,38 +5,41 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail};
 use lipstream::engine::{Engine, Kind, RunSettings};
-use lipstream::opening::OpeningReader;
 use lipstream::parameters::{self, ParameterError};
-use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, Servos, output};
+use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, ReadOut, Servos, output};
 use lipstream_live::address::Address;
 use lipstream_live::recording::Recording;
 use lipstream_media::files;
 
 use super::convert::{anew, told};
 use super::cues;
+use super::sources::SourceArgs;
 use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
 
 mod calibration;
+mod live;
 
 /// One hop.
 const HOP: Duration = Duration::from_millis(10);
+/// What the first word may be here, beside what [`SourceArgs`] says.
+const SOURCE: &str = "Speech in a sound file (- is standard input), parameters of `lipstream convert` (.csv; .npy without visemes), a recorded stream (.stream), or a \
+                      live device: a serial port (/dev/ttyACM0, /dev/ttyACM0@9600) or tcp://HOST:PORT [default: the device that is plugged in]";
 /// Characters of a bar.
 const BAR: usize = 12;
 
-/// Move hobby servos by speech, or by hand to calibrate them
+/// Move hobby servos by speech, live or from a file, or by hand to calibrate them
 ///
-/// The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at their centres and go back there at the end.
+/// The source is a sound, parameters of `lipstream convert` (.csv; .npy, which has no visemes), a recorded stream, - for a sound on standard input; or it is live: a
+/// device's serial port, --mic, --wav in real time. The calibration says which servos there are and what they must not do (docs/servos.md). Servos begin at
+/// their centres and go back there at the end.
 #[derive(Debug, clap::Args)]
+#[command(mut_arg("source", |source| source.help(SOURCE)))]
 pub(crate) struct Args {
-    /// Speech in a sound file (- is standard input), parameters of `lipstream convert` (.npy without visemes), or a recorded stream (.stream)
-    #[arg(required_unless_present_any = ["by_hand", "write_table"], conflicts_with = "by_hand")]
-    source: Option<PathBuf>,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Calibration: JSON, or the table that --write-table wrote
     #[arg(short, long, value_name = "FILE")]
     calibration: PathBuf,
-    /// Model (.safetensors) whose mouth it is [default: the shipped one]
-    #[arg(short, long)]
-    model: Option<PathBuf>,
     /// Where pulses go, 100 times a second of the source; - is standard output [default: -, nowhere with --bars or --write-table alone]
     #[arg(short, long, conflicts_with = "port")]
     output: Option<PathBuf>,
@@ -47,7 +50,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_enum, default_value_t = Format::Csv)]
     format: Format,
     /// Move one channel (its number in the calibration, from 0) to a pulse in microseconds between its end stops, and leave it there
-    #[arg(long = "move", value_names = ["CHANNEL", "US"], num_args = 2)]
+    #[arg(long = "move", value_names = ["CHANNEL", "US"], num_args = 2, conflicts_with_all = ["source", "wav", "mic", "qemu"])]
     by_hand: Option<Vec<f64>>,
     /// Show every channel between its end stops on standard error, in real time
     #[arg(long)]
@@ -65,17 +68,40 @@ enum Format {
     Maestro,
 }
 
+impl Args {
+    /// Whether frames come by themselves: also from the device that is plugged in, where nothing else was asked for.
+    pub(crate) fn is_live(&self) -> bool {
+        let asked = self.source.source().is_some() || self.by_hand.is_some() || self.write_table.is_some();
+        self.source.is_live() || !asked
+    }
+}
+
 pub(crate) fn run(args: Args) -> Result<()> {
-    let moves = args.source.is_some() || args.by_hand.is_some();
+    let is_live = args.is_live();
+    let moves = is_live || args.source.source().is_some() || args.by_hand.is_some();
     if !moves && (args.output.is_some() || args.port.is_some() || args.bars) {
         bail!("nothing moves the servos: name a source, or give --move CHANNEL US");
     }
     if moves && args.write_table.as_deref().is_some_and(is_standard) {
         bail!("--write-table - takes standard output for itself: leave the source out, or name a file");
     }
+    if args.source.is_asked_for_outputs() && !is_live {
+        bail!("--to wants a live source: a device, --mic, or --wav SOUND");
+    }
     let calibration = calibration::read(&args.calibration)?;
     if let Some(path) = &args.write_table {
-        let table = calibration.to_bytes();
+        // A device knows its model's parameters, and nothing of its mouth's pictures.
+        let read_out = match calibration.needs_read_out() {
+            true => {
+                let model = args.source.model_path();
+                Some(read_out(
+                    model,
+                    &Engine::open_or_shipped(model, Kind::Fixed, false)?,
+                )?)
+            }
+            false => None,
+        };
+        let table = calibration.clone().reading(read_out).to_bytes();
         write(path, |file| Ok(file.write_all(&table)?))?;
         say(path, &format!("{} bytes", table.len()));
     }
@@ -106,11 +132,12 @@ fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<(
         to,
         format: args.format,
         bars: args.bars,
-        next: (args.bars || args.port.is_some()).then(Instant::now),
+        next: (args.bars || args.port.is_some() || args.is_live()).then(Instant::now),
     };
-    let done = match (&args.by_hand, &args.source) {
+    let done = match (&args.by_hand, args.source.source()) {
         (Some(words), _) => by_hand(words, calibration, &mut out),
-        (None, Some(source)) => speak(args, source, calibration, &mut out),
+        _ if args.is_live() => live::follow(args, calibration, &mut out),
+        (None, Some(source)) => speak(args, Path::new(source), calibration, &mut out),
         (None, None) => Ok(()),
     };
     if args.bars {
@@ -199,15 +226,11 @@ fn by_hand(words: &[f64], calibration: &Calibration, out: &mut Out) -> Result<()
 
 /// The servos follow a source, and rest when it has ended.
 fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -> Result<()> {
-    let engine = Engine::open_or_shipped(args.model.as_deref(), Kind::Fixed, false)?;
-    let reader = cues::opening(args.model.as_deref(), &engine)?;
-    let reader = reader.context(
-        "the model has no mouth that gap and width could be read from: name its .safetensors, not its tables",
-    )?;
+    let engine = Engine::open_or_shipped(args.source.model_path(), Kind::Fixed, false)?;
     let mut follow = Follow {
         servos: Servos::new(calibration),
-        reader,
-        width: engine.n_parameters(),
+        read_out: read_out(args.source.model_path(), &engine)?,
+        scales: scales(&engine),
         out,
         frames: 0,
     };
@@ -253,34 +276,63 @@ fn speak(args: &Args, source: &Path, calibration: &Calibration, out: &mut Out) -
     follow.rest(calibration)
 }
 
+/// Real units of one LSB of each parameter, which a fixed engine's tables have.
+fn scales(engine: &Engine) -> Vec<f32> {
+    let tables = engine.tables().into_iter();
+    tables
+        .flat_map(|tables| tables.head().parameter_scales())
+        .collect()
+}
+
+/// How gap and width are read, in the whole numbers that a device reads too.
+fn read_out(model: Option<&Path>, engine: &Engine) -> Result<ReadOut> {
+    let reader = cues::opening(model, engine)?;
+    let read_out = reader.and_then(|reader| reader.read_out(engine.model_id()?, &scales(engine)));
+    read_out.context(
+        "the model has no mouth that gap and width could be read from: name its .safetensors, not its tables",
+    )
+}
+
 /// Servos on the heels of a mouth.
 struct Follow<'a, 'o> {
     servos: Servos,
-    reader: OpeningReader,
-    /// Parameters of a frame.
-    width: usize,
+    read_out: ReadOut,
+    scales: Vec<f32>,
     out: &'a mut Out<'o>,
     frames: usize,
 }
 
 impl Follow<'_, '_> {
     fn frame(&mut self, parameters: &[f32], visemes: &[f32]) -> Result<()> {
-        if parameters.len() != self.width {
+        let wanted = self.scales.len();
+        if parameters.len() != wanted {
             bail!(ParameterError::Width {
                 width: parameters.len(),
-                wanted: self.width
+                wanted
             });
         }
-        let opening = self.reader.read(parameters);
-        // `as` saturates; the reader keeps both in range.
-        let q15 = |share: f32| (share * f32::from(i16::MAX)).round() as i16;
+        // `as` saturates.
+        let values = parameters.iter().zip(&self.scales);
+        let values: Vec<i16> = values.map(|(p, scale)| (p / scale).round() as i16).collect();
         let weights: Vec<u8> = visemes.iter().map(|w| (w * 255.0).round() as u8).collect();
+        self.step(&values, &weights)
+    }
+
+    /// A frame in the device's own numbers.
+    fn step(&mut self, values: &[i16], viseme_weights: &[u8]) -> Result<()> {
+        let (gap, width) = self.read_out.read(values);
         self.servos.step(&Mouth {
-            gap: q15(opening.gap),
-            width: q15(opening.width),
-            viseme_weights: &weights,
+            gap,
+            width,
+            viseme_weights,
         });
         self.frames += 1;
+        self.hop()
+    }
+
+    /// A hop without a frame.
+    fn idle(&mut self) -> Result<()> {
+        self.servos.rest();
         self.hop()
     }
 
@@ -298,8 +350,7 @@ impl Follow<'_, '_> {
             .map(|(_, pulse)| pulse)
             .eq(centres.iter().copied())
         {
-            self.servos.rest();
-            self.hop()?;
+            self.idle()?;
         }
         Ok(())
     }

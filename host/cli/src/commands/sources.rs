@@ -1,4 +1,4 @@
-//! What `view` and `record` have in common: where frames come from, and what else they go to.
+//! What `view`, `record` and `servo` have in common: where frames come from, and what else they go to.
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -56,6 +56,31 @@ impl SourceArgs {
     /// Whether standard output is taken.
     pub(crate) fn takes_standard_output(&self) -> bool {
         self.to.iter().any(Target::is_standard)
+    }
+
+    /// What was named as the source, whatever it is.
+    pub(crate) fn source(&self) -> Option<&str> {
+        self.source.as_deref()
+    }
+
+    /// Whether frames come by themselves, in their own time: from a device, or from the model as it hears a microphone or speech in real time.
+    pub(crate) fn is_live(&self) -> bool {
+        let device = |words: &String| match words.parse::<Address>() {
+            Ok(Address::Tcp(_)) => true,
+            Ok(Address::Serial { port, .. }) => !is_pipe(&port),
+            _ => false,
+        };
+        self.qemu.is_some() || self.speech().is_some() || self.source.as_ref().is_some_and(device)
+    }
+
+    /// Whether frames also go to another program.
+    pub(crate) fn is_asked_for_outputs(&self) -> bool {
+        !self.to.is_empty()
+    }
+
+    /// The model's file, where one is named.
+    pub(crate) fn model_path(&self) -> Option<&Path> {
+        self.model.as_deref()
     }
 
     /// The model that runs in this program, and the file that it came from where that is not the shipped one.
@@ -139,6 +164,20 @@ impl SourceArgs {
     }
 }
 
+/// Whether this is a named pipe, which may hold a sound.
+fn is_pipe(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt as _;
+        std::fs::metadata(path).is_ok_and(|about| about.file_type().is_fifo())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
+    }
+}
+
 /// What [`SourceArgs::model`] gives.
 pub(crate) struct Model {
     engine: Arc<Engine>,
@@ -146,6 +185,11 @@ pub(crate) struct Model {
 }
 
 impl Model {
+    /// What runs it.
+    pub(crate) fn engine(&self) -> &Engine {
+        &self.engine
+    }
+
     /// What can be drawn: the mouth of the shipped model, which `shipped` runs, and this one's.
     pub(crate) fn mouths(&self, shipped: &Engine) -> Result<Arc<[Mouth]>> {
         let tensors = Tensors::read_or_shipped(None)?;

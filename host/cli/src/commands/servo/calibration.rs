@@ -4,7 +4,7 @@ use std::path::Path;
 use anyhow::{Context as _, Result, bail};
 use lipstream::linkage::JawLinkage;
 use lipstream::phones::VISEMES;
-use lipstream_core::servo::{Calibration, Channel, Role, STRAIGHT, WEIGHT_ONE};
+use lipstream_core::servo::{Calibration, Channel, Driver, Role, STRAIGHT, WEIGHT_ONE};
 use lipstream_media::files;
 use serde::Deserialize;
 
@@ -16,6 +16,7 @@ const HOPS: f64 = 100.0;
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Written {
+    driver: Option<String>,
     channels: Vec<WrittenChannel>,
 }
 
@@ -90,7 +91,12 @@ fn of_json(bytes: &[u8]) -> Result<Calibration> {
     let channels: Vec<Channel> = channels
         .map(|(k, channel)| channel.checked().with_context(|| format!("channel {k}")))
         .collect::<Result<_>>()?;
-    Ok(Calibration::of(&channels)?)
+    let driver = match &written.driver {
+        None => Driver::default(),
+        Some(name) => Driver::of_name(name)
+            .with_context(|| format!("{name:?} is no driver; there are {}", Driver::NAMES.join(", ")))?,
+    };
+    Ok(Calibration::of(&channels)?.driven_by(driver))
 }
 
 /// A limit of the file in the table's unit, rounded down, so that a limit is never more than what was asked for.
