@@ -5,6 +5,7 @@ mod common;
 
 #[allow(dead_code, reason = "the benchmark uses more of it")]
 mod chromium;
+mod film;
 mod mos;
 
 use std::net::{IpAddr, Ipv4Addr};
