@@ -7,6 +7,7 @@ mod common;
 mod chromium;
 mod film;
 mod mos;
+mod site;
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
