@@ -14,6 +14,7 @@
 //! | `header` | Writes the C header of the core, `core/capi/lipstream.h`. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
 //! | `recognition` | Phone recognition under several settings, against labels. |
+//! | `site` | Writes a page that turns a microphone into a mouth without a server: `site [FOLDER] [MODEL.safetensors]`. |
 //! | `tables` | Writes the generated constants into `core/src/tables/`. |
 //! | `vectors` | Writes the front end's byte vectors into `tests/vectors/`. |
 //! | `voices` | A corpus of synthetic speech with exact phone times, by `flite`. |
@@ -34,6 +35,7 @@ mod generated;
 mod header;
 mod pictures;
 mod recognition;
+mod site;
 mod tables;
 mod vectors;
 mod voices;
@@ -54,6 +56,7 @@ const TOOLS: &[Tool] = &[
     ("header", header::run),
     ("pictures", pictures::run),
     ("recognition", recognition::run),
+    ("site", site::run),
     ("tables", tables::run),
     ("vectors", vectors::run),
     ("voices", voices::run),

@@ -104,3 +104,131 @@ context = Of(object=face, scene=scene)
     assert!(rows.len() == 106 && said == want, "{said}");
     assert!(!run(&["speech.csv"]).status.success());
 }
+
+/// Godot's script, read by gdtoolkit's parser and held against its rules of style; `tests/run` installs it. What the script looks up by name is in the file.
+#[test]
+fn godots_script_is_godots_language() {
+    let reader = common::root().join("tests/python/installed");
+    assert!(
+        reader.is_dir(),
+        "no gdtoolkit: tests/setup pip:tests/python installs it"
+    );
+    let read = |script: &std::path::Path| {
+        let mut python = Command::new("python3");
+        python.env("PYTHONPATH", &reader).args(["-m", "gdtoolkit.linter"]);
+        python
+            .arg(script)
+            .output()
+            .expect("python3, which tests/run installs")
+    };
+    let path = common::root().join("docs/examples/godot_blend_shapes.gd");
+    let output = read(&path);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success(),
+        "{said}{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let script = std::fs::read_to_string(&path).unwrap();
+    let folder = common::folder("examples-godot");
+    std::fs::write(
+        folder.join("bad.gd"),
+        script.replace("func _ready()", "func _ready("),
+    )
+    .unwrap();
+    assert!(!read(&folder.join("bad.gd")).status.success());
+
+    let hello = common::root().join("data/hello.wav");
+    let words = ["cues", hello.to_str().unwrap(), "--set", "arkit", "--rate", "60"];
+    succeed(&folder, &[&words[..], &["-o", "speech.json"]].concat());
+    let table: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(folder.join("speech.json")).unwrap()).unwrap();
+    let (names, frames) = (
+        table["names"].as_array().unwrap(),
+        table["frames"].as_array().unwrap(),
+    );
+    for frame in frames {
+        assert!(frame["time"].is_f64() && frame["weights"].as_array().unwrap().len() == names.len());
+    }
+    for key in ["\"names\"", "\"frames\"", "\"time\"", "\"weights\""] {
+        assert!(script.contains(key), "{key}");
+    }
+}
+
+/// Spine's animation by the rules of its format: keys in order, the first without a time, each a picture that the slot has.
+#[test]
+fn spine_gets_a_key_for_each_shape() {
+    let folder = common::folder("examples-spine");
+    let hello = common::root().join("data/hello.wav");
+    succeed(&folder, &["cues", hello.to_str().unwrap(), "-o", "speech.json"]);
+    let skeleton = |shapes: &str| {
+        let pictures: serde_json::Map<String, serde_json::Value> = shapes
+            .chars()
+            .map(|shape| (format!("mouth-{shape}"), serde_json::json!({})))
+            .collect();
+        serde_json::json!({
+            "skeleton": { "spine": "4.2.0" },
+            "bones": [{ "name": "root" }],
+            "slots": [{ "name": "mouth", "bone": "root", "attachment": "mouth-A" }],
+            "skins": [{ "name": "default", "attachments": { "mouth": pictures } }],
+            "animations": { "walk": {} },
+        })
+    };
+    let run = |skeleton: serde_json::Value| {
+        std::fs::write(folder.join("skeleton.json"), skeleton.to_string()).unwrap();
+        Command::new("python3")
+            .current_dir(&folder)
+            .arg(common::root().join("docs/examples/spine_mouth.py"))
+            .args(["skeleton.json", "speech.json", "talking.json"])
+            .output()
+            .expect("python3, which tests/run installs")
+    };
+    let read = |name: &str| -> serde_json::Value {
+        serde_json::from_str(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
+    };
+    let cues = read("speech.json")["mouthCues"].as_array().unwrap().clone();
+    for extended in ["H", "X"] {
+        assert!(cues.iter().any(|cue| cue["value"] == extended), "no {extended}");
+    }
+
+    // With every shape there is a key for each cue, at its moment.
+    let output = run(skeleton("ABCDEFGHX"));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let keys = |talking: &serde_json::Value| {
+        assert!(talking["animations"]["walk"].is_object());
+        let keys = &talking["animations"]["speech"]["slots"]["mouth"]["attachment"];
+        keys.as_array().unwrap().clone()
+    };
+    let all = keys(&read("talking.json"));
+    assert_eq!(all.len(), cues.len());
+    assert!(all[0].get("time").is_none());
+    for (key, cue) in all.iter().zip(&cues) {
+        assert_eq!(
+            key["name"],
+            format!("mouth-{}", cue["value"].as_str().unwrap()).as_str()
+        );
+        assert_eq!(
+            key.get("time").map_or(0.0, |time| time.as_f64().unwrap()),
+            cue["start"].as_f64().unwrap()
+        );
+    }
+
+    // With the six basic ones the others become these, and no key says what holds already.
+    assert!(run(skeleton("ABCDEF")).status.success());
+    let basic = keys(&read("talking.json"));
+    assert!(basic.windows(2).all(|pair| pair[0]["name"] != pair[1]["name"]));
+    assert!(basic.len() <= all.len());
+
+    // A skeleton that cannot speak is refused in a line.
+    let refused = run(skeleton("AB"));
+    assert!(!refused.status.success());
+    let why = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        why.starts_with("the slot has no attachment mouth-") && why.lines().count() == 1,
+        "{why}"
+    );
+}

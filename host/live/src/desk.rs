@@ -9,7 +9,6 @@ use lipstream::engine::Engine;
 use lipstream::error::chain;
 use lipstream::mouth::MouthSpace;
 use lipstream::opening::OpeningReader;
-use serde_json::json;
 
 use crate::clock::Clock;
 use crate::driver::{Driver, Setup, Source};
@@ -30,22 +29,9 @@ pub struct Mouth {
 impl Mouth {
     /// A mouth for the model of this id.
     pub fn new(model: u32, space: &MouthSpace) -> Self {
-        let about = json!({
-            "width": space.width,
-            "height": space.height,
-            "size": space.size(),
-            "deviation": space.deviation.to_vec(),
-        })
-        .to_string();
-        let mut bytes = (about.len() as u32).to_le_bytes().to_vec();
-        bytes.extend(about.as_bytes());
-        bytes.resize(bytes.len().next_multiple_of(4), 0);
-        for value in space.mean.iter().chain(&space.basis) {
-            bytes.extend(value.to_le_bytes());
-        }
         Self {
             model,
-            bytes: Arc::new(bytes),
+            bytes: Arc::new(space.to_bytes()),
             opening: OpeningReader::of(space).map(Arc::new),
         }
     }

@@ -146,6 +146,25 @@ impl MouthSpace {
         to.note("mouth.height", self.height);
     }
 
+    /// What a page draws with (`mouth.js` of `lipstream view` reads it): the length of a JSON text in four bytes, low first, that text (width, height, size,
+    /// deviations), zeros up to a multiple of four, then mean and eigenmouths as `f32`.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let about = serde_json::json!({
+            "width": self.width,
+            "height": self.height,
+            "size": self.size(),
+            "deviation": self.deviation.to_vec(),
+        })
+        .to_string();
+        let mut bytes = (about.len() as u32).to_le_bytes().to_vec();
+        bytes.extend(about.as_bytes());
+        bytes.resize(bytes.len().next_multiple_of(4), 0);
+        for value in self.mean.iter().chain(&self.basis) {
+            bytes.extend(value.to_le_bytes());
+        }
+        bytes
+    }
+
     /// The space in a file that has been read.
     ///
     /// # Errors

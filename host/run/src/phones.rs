@@ -12,6 +12,23 @@ pub struct Viseme(pub u8);
 /// articulation of the consonants.
 pub const VISEMES: [&str; 13] = lipstream_core::frame::VISEME_NAMES;
 
+/// What each viseme looks like, in the order of [`VISEMES`], for people who do not know the table's names.
+pub const VISEME_WORDS: [&str; VISEMES.len()] = [
+    "at rest",
+    "wide open (ah)",
+    "puckered (oo)",
+    "open (eh)",
+    "spread (ee)",
+    "tongue raised (l, r)",
+    "teeth together (s, z)",
+    "tongue behind the teeth (t, d, n)",
+    "funnel (sh, ch)",
+    "lips closed (p, b, m)",
+    "tongue between the teeth (th)",
+    "teeth on the lip (f, v)",
+    "back of the tongue (k, g)",
+];
+
 /// Every phone with the viseme that it looks like (X&L table 1).
 pub const PHONES: [(&str, Viseme); 47] = [
     ("sil", Viseme(0)),

@@ -20,6 +20,16 @@ const NAMES: [&str; 4] = [
     "google-chrome",
 ];
 
+/// No graphics card, and no processor that plays one.
+const PLAIN: [&str; 3] = [
+    "--disable-gpu",
+    "--disable-software-rasterizer",
+    "--disable-3d-apis",
+];
+
+/// A microphone that is none.
+const MICROPHONE: &str = "--use-fake-device-for-media-stream";
+
 /// A browser with one page.
 pub(crate) struct Browser {
     process: Child,
@@ -46,14 +56,20 @@ impl Browser {
 
     /// Opens `url` without WebGL, as on a computer without a graphics card: much less work for the processor.
     pub(crate) fn open_plain(url: &str) -> Self {
-        Self::open_with(
-            url,
-            &[
-                "--disable-gpu",
-                "--disable-software-rasterizer",
-                "--disable-3d-apis",
-            ],
-        )
+        Self::open_with(url, &PLAIN)
+    }
+
+    /// Opens `url` as [`Browser::open_plain`] does, with a microphone that nobody is asked about and that hears a WAV file over and over.
+    pub(crate) fn open_hearing(url: &str, wav: &Path) -> Self {
+        let heard = format!("--use-file-for-fake-audio-capture={}", wav.display());
+        let given = "--use-fake-ui-for-media-stream";
+        Self::open_with(url, &[&PLAIN[..], &[MICROPHONE, given, &heard]].concat())
+    }
+
+    /// Opens `url` as [`Browser::open_plain`] does, with a microphone that no page may hear.
+    pub(crate) fn open_deaf(url: &str) -> Self {
+        let refused = "--use-fake-ui-for-media-stream=deny";
+        Self::open_with(url, &[&PLAIN[..], &[MICROPHONE, refused]].concat())
     }
 
     fn open_with(url: &str, flags: &[&str]) -> Self {
@@ -177,6 +193,14 @@ impl Browser {
             );
             std::thread::sleep(Duration::from_millis(30));
         }
+    }
+
+    /// Chooses a file in the field that has this id, as a person does.
+    pub(crate) fn choose(&mut self, id: &str, file: &Path) {
+        let field = json!({ "expression": format!("document.getElementById('{id}')") });
+        let field = self.ask("Runtime.evaluate", field);
+        let chosen = json!({ "objectId": field["result"]["objectId"], "files": [file] });
+        self.ask("DOM.setFileInputFiles", chosen);
     }
 
     /// The mouth that is on the screen: R, G, B, A of each pixel.

@@ -5,7 +5,9 @@ mod common;
 
 #[allow(dead_code, reason = "the benchmark uses more of it")]
 mod chromium;
+mod film;
 mod mos;
+mod site;
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};

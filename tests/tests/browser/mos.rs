@@ -51,7 +51,7 @@ fn answer(browser: &mut Browser, key: &Key) -> [u8; 5] {
 }
 
 #[test]
-fn what_is_clicked_is_what_the_tables_say() {
+fn in_a_browser_what_is_clicked_is_what_the_tables_say() {
     let _alone = crate::alone();
     let folder = tempfile::tempdir().unwrap();
     clips(&folder.path().join("clips"));
@@ -152,7 +152,7 @@ fn what_is_clicked_is_what_the_tables_say() {
 
 /// Every seed shows every clip once and the checks apart from each other, never first.
 #[test]
-fn orders_are_fair() {
+fn in_a_browser_orders_are_fair() {
     let _alone = crate::alone();
     let folder = tempfile::tempdir().unwrap();
     clips(&folder.path().join("clips"));

@@ -1,7 +1,7 @@
 //! Lines of text: JSON and CSV, for scripts.
 use std::io::{self, Write};
 
-use lipstream::phones::VISEMES;
+use lipstream::phones::{VISEME_WORDS, VISEMES};
 use lipstream::time::seconds;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::wire::Profile;
@@ -22,7 +22,7 @@ pub fn json(event: &Event) -> Option<Value> {
                 .collect();
             let visemes: Vec<Value> = VISEMES
                 .iter()
-                .zip(WORDS)
+                .zip(VISEME_WORDS)
                 .take(usize::from(said.hello.visemes))
                 .map(|(name, words)| object!({ "name": name, "words": words }))
                 .collect();
@@ -85,23 +85,6 @@ pub fn json(event: &Event) -> Option<Value> {
 
 /// Version of these objects.
 const PROTOCOL: u8 = 1;
-
-/// What each viseme looks like, in the order of [`VISEMES`], for people who do not know the table's names.
-pub(crate) const WORDS: [&str; VISEMES.len()] = [
-    "at rest",
-    "wide open (ah)",
-    "puckered (oo)",
-    "open (eh)",
-    "spread (ee)",
-    "tongue raised (l, r)",
-    "teeth together (s, z)",
-    "tongue behind the teeth (t, d, n)",
-    "funnel (sh, ch)",
-    "lips closed (p, b, m)",
-    "tongue between the teeth (th)",
-    "teeth on the lip (f, v)",
-    "back of the tongue (k, g)",
-];
 
 /// The profile that a word stands for.
 pub(crate) fn profile_of(word: &str) -> Option<Profile> {

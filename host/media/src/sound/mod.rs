@@ -27,6 +27,7 @@ mod wav;
 use container::{Container, Track};
 use input::{Counted, Input};
 use mix::Mixer;
+pub use resample::Resampler;
 use resample::To16Khz;
 
 use crate::Cause;
@@ -248,9 +249,6 @@ impl<'a> Reader<'a> {
 
     fn of_decoder(name: &str, decoder: Box<dyn Decode + 'a>) -> Result<Self> {
         let rate_hz = decoder.rate_hz();
-        if !RATES_HZ.contains(&rate_hz) {
-            return Err(SoundError::Rate { rate_hz });
-        }
         Ok(Self {
             name: name.to_owned(),
             to_16_khz: To16Khz::new(rate_hz)?,

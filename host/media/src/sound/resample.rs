@@ -2,7 +2,7 @@
 use audioadapter_buffers::owned::InterleavedOwned;
 use rubato::{Fft, FixedSync, Indexing, Resampler as _};
 
-use super::{Result, library};
+use super::{RATES_HZ, Result, SoundError, library, to_i16};
 
 /// Least number of input samples that the resampler takes at a time.
 const LEAST_CHUNK: usize = 1024;
@@ -25,6 +25,55 @@ pub(super) struct To16Khz {
     fft: Option<Box<Blocks>>,
 }
 
+/// Sound that somebody else hands over as it comes, at any rate, to what the front end takes: 16 kHz, i16. What comes out does not depend on how the
+/// samples are cut, and is what [`Reader`](super::Reader) makes of a file with the same samples.
+pub struct Resampler {
+    to_16_khz: To16Khz,
+    taken: Vec<f64>,
+    given: Vec<f64>,
+}
+
+impl Resampler {
+    /// For sound of `rate_hz`, 8 to 192 kHz.
+    ///
+    /// # Errors
+    ///
+    /// [`SoundError::Rate`]: the rate is none that is read.
+    pub fn new(rate_hz: u32) -> Result<Self> {
+        Ok(Self {
+            to_16_khz: To16Khz::new(rate_hz)?,
+            taken: Vec::new(),
+            given: Vec::new(),
+        })
+    }
+
+    /// Takes mono samples, full scale ±1, and appends what they bring out: nothing until a block of 5 to 130 ms is full.
+    ///
+    /// # Errors
+    ///
+    /// That the resampler refuses them.
+    pub fn push(&mut self, samples: &[f32], out: &mut Vec<i16>) -> Result<()> {
+        self.taken.clear();
+        self.taken.extend(samples.iter().copied().map(f64::from));
+        self.given.clear();
+        self.to_16_khz.push(&self.taken, &mut self.given)?;
+        out.extend(self.given.iter().copied().map(to_i16));
+        Ok(())
+    }
+
+    /// The sound has ended: appends what is still owed.
+    ///
+    /// # Errors
+    ///
+    /// As [`Resampler::push`].
+    pub fn finish(mut self, out: &mut Vec<i16>) -> Result<()> {
+        self.given.clear();
+        self.to_16_khz.finish(&mut self.given)?;
+        out.extend(self.given.iter().copied().map(to_i16));
+        Ok(())
+    }
+}
+
 /// A resampler that takes whole blocks.
 struct Blocks {
     fft: Fft<f64>,
@@ -38,6 +87,9 @@ struct Blocks {
 
 impl To16Khz {
     pub(super) fn new(rate_hz: u32) -> Result<Self> {
+        if !RATES_HZ.contains(&rate_hz) {
+            return Err(SoundError::Rate { rate_hz });
+        }
         if rate_hz == lipstream_core::SAMPLE_RATE_HZ {
             return Ok(Self { rate_hz, fft: None });
         }

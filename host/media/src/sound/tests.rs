@@ -135,3 +135,28 @@ fn pieces_are_resampled_like_the_whole() {
         }
     }
 }
+
+/// What somebody else hands over, in whatever pieces, becomes what a file of the same samples does.
+#[test]
+fn a_resampler_gives_what_a_file_gives() {
+    for rate in [8_000, 16_000, 44_100, 48_000] {
+        let samples: Vec<f32> = (0..rate as usize)
+            .map(|k| (0.4 * (TAU * 440.0 * k as f64 / f64::from(rate)).sin()) as f32)
+            .collect();
+        let file = wav(rate, 1, 32, SampleFormat::Float, &samples);
+        let want = decode(&file).unwrap().samples;
+        for cut in [1, 128, 441, samples.len()] {
+            let mut resampler = Resampler::new(rate).unwrap();
+            let mut have = Vec::new();
+            for piece in samples.chunks(cut) {
+                resampler.push(piece, &mut have).unwrap();
+            }
+            resampler.finish(&mut have).unwrap();
+            assert!(have == want, "{rate} Hz in pieces of {cut}");
+        }
+    }
+    assert!(matches!(
+        Resampler::new(7_999).err(),
+        Some(SoundError::Rate { rate_hz: 7_999 })
+    ));
+}

@@ -8,13 +8,11 @@ use serde_json::json;
 
 use crate::cues::Cue;
 use crate::error::{Result, bail};
-use crate::phones::{Phone, VISEMES};
+use crate::phones::{Phone, VISEME_WORDS, VISEMES};
 
 const TEMPLATE: &str = include_str!("page.html");
 /// Parameters drawn, the most important first.
 const TRACES: usize = 6;
-/// Bars of the waveform at most.
-const MAX_PEAKS: usize = 2000;
 
 /// What the page shows.
 pub struct Page<'a> {
@@ -131,11 +129,10 @@ pub fn fill(template: &str, slots: &[(&str, &str)]) -> String {
     out
 }
 
-/// Loudest sample of each stretch, 0..255 on a square-root scale, which shows quiet consonants.
+/// Loudest sample of each hop, 0..255 on a square-root scale, which shows quiet consonants.
 fn peaks(sound: &[i16]) -> Vec<u8> {
-    let stretch = sound.len().div_ceil(MAX_PEAKS).max(HOP_SAMPLES);
     sound
-        .chunks(stretch)
+        .chunks(HOP_SAMPLES)
         .map(|chunk| {
             let peak = chunk.iter().map(|s| s.unsigned_abs()).max().unwrap_or(0);
             ((f32::from(peak) / 32768.0).sqrt() * 255.0) as u8
@@ -143,8 +140,8 @@ fn peaks(sound: &[i16]) -> Vec<u8> {
         .collect()
 }
 
-/// Name of every viseme and the phones that look like it.
-fn viseme_names() -> Vec<[String; 2]> {
+/// Name of every viseme, the phones that look like it, and what it looks like.
+fn viseme_names() -> Vec<[String; 3]> {
     VISEMES
         .iter()
         .enumerate()
@@ -153,7 +150,7 @@ fn viseme_names() -> Vec<[String; 2]> {
                 .filter(|p| usize::from(p.viseme().0) == v)
                 .map(Phone::name)
                 .collect();
-            [name.to_string(), phones.join(" ")]
+            [name.to_string(), phones.join(" "), VISEME_WORDS[v].to_owned()]
         })
         .collect()
 }
@@ -216,8 +213,10 @@ mod tests {
         // Parameter 2 at frame 3 is 6 = 3 deviations.
         assert_eq!(data["parameters"][2][3], 300);
         assert_eq!(data["parameters"].as_array().unwrap().len(), TRACES);
+        assert_eq!(data["peaks"].as_array().unwrap().len(), 52);
         assert_eq!(data["duration"], 0.52);
         assert_eq!(data["visemes"][9][1], "p b m");
+        assert_eq!(data["visemes"][9][2], "lips closed (p, b, m)");
     }
 
     #[test]
