@@ -7,7 +7,7 @@ use crate::common::build::build_firmware;
 use crate::common::qemu::{self, Machine, bytes, pcm, run_on_file};
 use crate::compare::{assert_same, expected_hello, frames, host, is_status};
 use lipstream::link::{Link, Losses, greeting};
-use lipstream_core::wire::{PROTOCOL, Profile, Status, ToDevice, ToHost};
+use lipstream_core::wire::{Notice, PROTOCOL, Profile, Status, ToDevice, ToHost};
 use lipstream_core::{AnyModel, StreamSettings};
 
 const BOARD: &str = "mps2-an386";
@@ -180,8 +180,11 @@ fn hello_can_be_asked_for_and_unknown_messages_are_counted() {
     let hello = ToHost::Hello(expected_hello(&model, StreamSettings::of(Profile::Standard)));
     let mut machine = Machine::boot(&firmware.program);
     let mut link = Link::new(Some(model.head().id()));
-    let messages = machine.talk(greeting(), &mut link, |messages| !messages.is_empty());
-    assert_eq!(messages, std::slice::from_ref(&hello));
+    // Beside it goes what people should know: nobody wrote a calibration for servos.
+    let notice = Notice::new(format_args!("servos stay off: there is no calibration in flash"));
+    let notice = ToHost::Notice(notice);
+    let messages = machine.talk(greeting(), &mut link, |messages| messages.len() == 2);
+    assert_eq!(messages, [hello.clone(), notice.clone()]);
     // Message 9 between the sound, its CRC right: counted, and nothing is lost.
     let samples = &common::hello()[..SHORT / 4];
     let unknown = with_crc(9);
@@ -207,8 +210,11 @@ fn hello_can_be_asked_for_and_unknown_messages_are_counted() {
     line.extend(pcm(samples, 160).concat());
     line.extend(bytes(ToDevice::Stop));
     line.extend(greeting());
-    let messages = machine.talk(line, &mut link, |messages| messages.len() == 3);
-    assert_eq!(messages, [hello.clone(), hello.clone(), hello]);
+    let messages = machine.talk(line, &mut link, |messages| messages.len() == 5);
+    assert_eq!(
+        messages,
+        [hello.clone(), notice.clone(), hello.clone(), hello, notice]
+    );
     assert_eq!(link.losses(), Losses::default());
 }
 
