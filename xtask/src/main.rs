@@ -12,6 +12,7 @@
 //! | `fit` | Whether texts are found to be what is said, and by what margin. |
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `header` | Writes the C header of the core, `core/capi/lipstream.h`. |
+//! | `hierarchical` | A hierarchical model's own numbers against recorded faces, and strangers' voices before it. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
 //! | `recognition` | Phone recognition under several settings, against labels. |
 //! | `site` | Writes a page that turns a microphone into a mouth without a server: `site [FOLDER] [MODEL.safetensors]`. |
@@ -33,6 +34,7 @@ mod fit;
 mod gate;
 mod generated;
 mod header;
+mod hierarchical;
 mod pictures;
 mod recognition;
 mod site;
@@ -54,6 +56,7 @@ const TOOLS: &[Tool] = &[
     ("fit", fit::run),
     ("gate", gate::run),
     ("header", header::run),
+    ("hierarchical", hierarchical::run),
     ("pictures", pictures::run),
     ("recognition", recognition::run),
     ("site", site::run),

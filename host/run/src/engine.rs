@@ -14,10 +14,11 @@ use lipstream_core::{AnyModel as Tables, AnyStream, ParameterFrame, StreamSettin
 use lipstream_media::files;
 use ndarray::{Array2, Axis};
 
-use crate::error::{Context as _, Error, Result};
+use crate::error::{Context as _, Error, Result, bail};
 use crate::export::{ExportError, ExportSettings, MgeSettings, export, export_mge};
 use crate::hmm::Hmm;
 use crate::hmm::system::Speech;
+use crate::kinds::hierarchical::HierarchicalModel;
 use crate::kinds::likelihood::convert::{Follower, Lag, convert_as, smooth, viseme_weights};
 use crate::kinds::likelihood::inversion::Inverter;
 use crate::kinds::likelihood::live::Live as LocalLinear;
@@ -128,6 +129,12 @@ impl FloatModel {
     ///
     /// That it holds no model or a damaged one.
     pub fn of_tensors(tensors: &Tensors) -> Result<Self> {
+        if HierarchicalModel::is_kind(tensors) {
+            bail!(
+                Choice,
+                "it is a hierarchical model, which `render` draws and `evaluate` measures: give a model of another system"
+            );
+        }
         Ok(match RecurrentModel::is_kind(tensors) {
             true => Self::Recurrent(Box::new(RecurrentModel::from_tensors(tensors)?)),
             false => Self::Likelihood(Box::new(Model::of_tensors(tensors)?)),

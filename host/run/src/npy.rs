@@ -48,7 +48,7 @@ pub fn read_array<T: ReadableElement, D: Dimension>(path: &Path) -> Result<Array
 /// # Errors
 ///
 /// What is wrong with it.
-pub(crate) fn parse<T: ReadableElement, D: Dimension>(bytes: &[u8]) -> Result<Array<T, D>, Wrong> {
+pub fn parse<T: ReadableElement, D: Dimension>(bytes: &[u8]) -> Result<Array<T, D>, Wrong> {
     let length = promised(bytes)?;
     if length != bytes.len() {
         return Err(match bytes.len() > length {

@@ -54,6 +54,16 @@ choice! {
 }
 
 choice! {
+    /// What of another voice is brought to the training voice's.
+    Adaptation for lipstream::kinds::hierarchical::voice::Adaptation {
+        /// Mean and variance of each speech parameter
+        Level,
+        /// Mean and covariance
+        Linear,
+    }
+}
+
+choice! {
     /// Shapes that an animation program blends.
     BlendSet for lipstream::cues::BlendSet {
         /// The 15 visemes of Oculus lip sync

@@ -6,24 +6,27 @@ use anyhow::{Context, Result, bail, ensure};
 use super::{choices, evaluate_held_out, evaluate_mouth};
 use crate::progress::Terminal;
 use lipstream::hmm::system::{Speech, System};
+use lipstream::kinds::hierarchical::HierarchicalModel;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::mouth::MouthSpace;
 use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 use lipstream_make::evaluate::{
-    self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, look_ahead, models,
-    systems,
+    self, Candidate, Destination, EvaluateSettings, Heading, NoiseSettings, exchange, hierarchical,
+    look_ahead, models, systems,
 };
 use lipstream_make::features::FeatureFolder;
+use lipstream_make::hierarchical::Landmarks;
 
 /// Options that say how systems are compared: there is nothing to compare one model's mouth with.
-const OF_SYSTEMS: [&str; 12] = [
+const OF_SYSTEMS: [&str; 13] = [
     "systems",
     "models",
     "audio",
     "predictions",
     "also",
+    "landmarks",
     "against",
     "noise",
     "noise_system",
@@ -60,12 +63,15 @@ pub(crate) struct Args {
     /// Folder with the systems' models; what is missing is trained and kept there [default: REPORT/models]
     #[arg(long, value_name = "DIR")]
     pub(super) models: Option<PathBuf>,
-    /// Likelihood-trained model to measure too, under this name: a system that was trained otherwise (several times)
+    /// Model to measure too, under this name: likelihood-trained, a system that was trained otherwise, or hierarchical (several times)
     #[arg(long, value_name = "NAME=MODEL.safetensors")]
     also: Vec<String>,
     /// Feature folder whose sound trains the systems too; may be given many times
     #[arg(long, value_name = "DIR", requires = "systems")]
     pub(super) audio: Vec<PathBuf>,
+    /// Landmarks of the clips (as `train --landmarks`): compare lip gaps and pictures of all systems too
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
     /// Predictions made elsewhere: a folder with ID.npy for every clip. NAME@80=FOLDER states a look-ahead of 80 ms
     #[arg(long, value_name = "NAME=FOLDER")]
     pub(super) predictions: Vec<String>,
@@ -153,7 +159,10 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let also = also.collect::<Result<Vec<_>>>()?;
     let mut candidates = opened.candidates(&folder, args.beam, full)?;
     for (name, model) in &also {
-        candidates.extend(systems::also(name, model, &folder)?);
+        match model {
+            Also::Likelihood(model) => candidates.extend(systems::also(name, model, &folder)?),
+            Also::Hierarchical(model) => candidates.push(hierarchical::candidate(name, model, &folder)?),
+        }
     }
     let (chosen, stored) = (&opened.chosen, &opened.stored);
     if full {
@@ -269,6 +278,12 @@ impl Opened {
 fn read(path: &Path, folder: &FeatureFolder) -> Result<(Model, Option<RecurrentModel>)> {
     let tensors = Tensors::read(path)?;
     has_mouth(&tensors, path, folder)?;
+    ensure!(
+        !HierarchicalModel::is_kind(&tensors),
+        "{} holds a hierarchical model: measure it with --also hierarchical={}",
+        path.display(),
+        path.display()
+    );
     if RecurrentModel::is_kind(&tensors) {
         let trained = RecurrentModel::read(path)?;
         return Ok((trained.parent.clone(), Some(trained)));
@@ -306,16 +321,28 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
         reference: args.against.clone(),
         noise: noise.transpose()?,
         cold_starts: full || args.cold,
+        landmarks: args.landmarks.as_deref().map(Landmarks::read).transpose()?,
     })
 }
 
+/// A model that is measured beside the others.
+enum Also {
+    Likelihood(Box<Model>),
+    Hierarchical(Box<HierarchicalModel>),
+}
+
 /// NAME=MODEL.safetensors.
-fn named(given: &str, folder: &FeatureFolder) -> Result<(String, Model)> {
+fn named(given: &str, folder: &FeatureFolder) -> Result<(String, Also)> {
     match given.split_once('=') {
         Some((name, path)) if !name.is_empty() => {
             let path = Path::new(path);
-            has_mouth(&Tensors::read(path)?, path, folder)?;
-            Ok((name.to_owned(), Model::read(path)?))
+            let tensors = Tensors::read(path)?;
+            has_mouth(&tensors, path, folder)?;
+            let model = match HierarchicalModel::is_kind(&tensors) {
+                true => Also::Hierarchical(Box::new(HierarchicalModel::read(path)?)),
+                false => Also::Likelihood(Box::new(Model::read(path)?)),
+            };
+            Ok((name.to_owned(), model))
         }
         _ => bail!("--also {given}: write NAME=MODEL.safetensors"),
     }
@@ -369,6 +396,9 @@ fn command(args: &Args) -> String {
             let name = given.split('=').next().unwrap_or_default();
             words.push(format!("{flag} {}=…", quoted(name)));
         }
+    }
+    if let Some(path) = &args.landmarks {
+        words.push(format!("--landmarks {}", short(path)));
     }
     if let Some(name) = &args.against {
         words.push(format!("--against {}", quoted(name)));

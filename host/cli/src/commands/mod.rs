@@ -31,6 +31,7 @@ mod servo;
 mod sources;
 mod streams;
 mod train;
+mod train_hierarchical;
 mod train_mge;
 mod train_shards;
 mod view;

@@ -1,13 +1,16 @@
 //! `lipstream train`: features to a model.
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
+use super::train_hierarchical;
 use super::train_mge;
 use super::train_shards::{self, Shards};
 use crate::progress::Terminal;
 use lipstream::engine::FloatModel;
 use lipstream::hmm::system::{SYSTEMS, System};
+use lipstream::kinds::hierarchical;
 use lipstream_core::model::container::checksum;
 use lipstream_make::align;
 use lipstream_make::features::FeatureFolder;
@@ -39,9 +42,9 @@ pub(crate) struct Args {
     /// Model to write
     #[arg(short, long, value_name = "MODEL.safetensors", required = true)]
     output: Option<PathBuf>,
-    /// System to train [default: local-linear, or what --from holds]
-    #[arg(long, value_parser = system)]
-    system: Option<System>,
+    /// System to train: one of the coupled HMMs' names, or hierarchical, the second paper's face [default: local-linear, or what --from holds]
+    #[arg(long, value_parser = asked)]
+    system: Option<Asked>,
     /// Most Gaussians per audio state, a power of two; the validation clips choose [default: 4 for local-linear, which the device
     /// runs, and with --sound-only; else until they say stop]
     #[arg(long, value_name = "K")]
@@ -89,6 +92,8 @@ pub(crate) struct Args {
     /// Frames of 5 ms that a phone may reach beyond its label
     #[arg(long, value_name = "N", requires = "sound_only")]
     tolerance: Option<usize>,
+    #[command(flatten)]
+    hierarchical: train_hierarchical::Args,
 }
 
 /// What training minimises.
@@ -96,6 +101,25 @@ pub(crate) struct Args {
 enum Method {
     Likelihood,
     Mge,
+}
+
+/// The system that is asked for.
+#[derive(Clone, Copy, Debug)]
+enum Asked {
+    /// A system of HMMs.
+    Hmm(System),
+    /// The second paper's.
+    Hierarchical,
+}
+
+fn asked(name: &str) -> Result<Asked> {
+    if name == hierarchical::KIND {
+        return Ok(Asked::Hierarchical);
+    }
+    match system(name) {
+        Ok(system) => Ok(Asked::Hmm(system)),
+        Err(error) => bail!("{error}, {}", hierarchical::KIND),
+    }
 }
 
 pub(super) fn system(name: &str) -> Result<System> {
@@ -122,12 +146,22 @@ fn whole(args: Args) -> Result<()> {
     if args.sound_only {
         return sound_only(&folder, &args, output);
     }
+    let system = match args.system {
+        Some(Asked::Hierarchical) => {
+            return hierarchical(&args, &folder, output);
+        }
+        Some(Asked::Hmm(system)) => Some(system),
+        None => None,
+    };
+    if args.hierarchical.is_asked() {
+        bail!("--landmarks goes with --system {}", hierarchical::KIND);
+    }
     let heard = args
         .audio
         .iter()
         .map(|path| FeatureFolder::open(path))
         .collect::<Result<Vec<_>, _>>()?;
-    let usual = TrainSettings::of(args.system.unwrap_or(TrainSettings::default().system));
+    let usual = TrainSettings::of(system.unwrap_or(TrainSettings::default().system));
     let mut settings = TrainSettings {
         audio_mixtures: args.audio_mixtures.unwrap_or(usual.audio_mixtures),
         visual_mixtures: args.visual_mixtures.unwrap_or(usual.visual_mixtures),
@@ -159,7 +193,7 @@ fn whole(args: Args) -> Result<()> {
         };
         settings.resume = Resume::beside(output, &format!("{run}{state_checksum:08x} {from:08x}\n"))?;
     }
-    let begun = std::time::Instant::now();
+    let begun = Instant::now();
     let terminal = Terminal::default();
     let by_likelihood = || train::train(&folder, &heard, &settings, &terminal);
     match (args.method, from) {
@@ -170,7 +204,7 @@ fn whole(args: Args) -> Result<()> {
                 // What it was trained from: the same ears, by likelihood.
                 FloatModel::Recurrent(model) => model.parent,
             };
-            if let Some(asked) = args.system.filter(|asked| *asked != from.system) {
+            if let Some(asked) = system.filter(|asked| *asked != from.system) {
                 bail!(
                     "{} is to be trained, the model that is adapted is {}: leave out --system",
                     asked.name,
@@ -189,11 +223,22 @@ fn whole(args: Args) -> Result<()> {
         }
     }
     settings.resume.finish()?;
+    wrote(output, begun);
+    Ok(())
+}
+
+fn wrote(output: &Path, begun: Instant) {
     eprintln!(
         "wrote {} after {:.0} s",
         output.display(),
         begun.elapsed().as_secs_f32()
     );
+}
+
+fn hierarchical(args: &Args, folder: &FeatureFolder, output: &Path) -> Result<()> {
+    let begun = Instant::now();
+    train_hierarchical::run(&args.hierarchical, folder, args.seed, output)?;
+    wrote(output, begun);
     Ok(())
 }
 

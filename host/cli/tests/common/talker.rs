@@ -43,6 +43,11 @@ impl Speech {
 
 /// 10 + 3 + 5 clips of a tone whose loudness and pitch follow the mouth, with noise.
 pub(crate) fn talker(root: &Path) -> FeatureFolder {
+    talker_seen(root, |_, _, _| ())
+}
+
+/// [`talker`]; `seen` is told the name of each clip, what the mouth does in each of its pictures, and the pictures `[n, height, width, 3]`.
+pub(crate) fn talker_seen(root: &Path, mut seen: impl FnMut(&str, &[Pose], &Array4<u8>)) -> FeatureFolder {
     let mut rng = Pcg64::seed_from_u64(5);
     let space = drawn::space(6);
     let mut out = TensorsBuilder::default();
@@ -67,18 +72,20 @@ pub(crate) fn talker(root: &Path) -> FeatureFolder {
         write_npy(&root.join(format!("audio/{id}.npy")), &observations).unwrap();
         let frames = (SECONDS * VIDEO_HZ) as usize;
         let mut images = Array4::<u8>::zeros((frames, HEIGHT, WIDTH, 3));
-        for (t, mut image) in images.outer_iter_mut().enumerate() {
-            let pose = Pose {
-                open: speech.open((t as f32 + 0.5) / VIDEO_HZ),
-                round: 0.2,
-                spread: 0.3,
-            };
-            let pixels = drawn::draw(pose);
+        let pose = |t: usize| Pose {
+            open: speech.open((t as f32 + 0.5) / VIDEO_HZ),
+            round: 0.2,
+            spread: 0.3,
+        };
+        let poses: Vec<Pose> = (0..frames).map(pose).collect();
+        for (pose, mut image) in poses.iter().zip(images.outer_iter_mut()) {
+            let pixels = drawn::draw(*pose);
             image
                 .iter_mut()
                 .zip(&pixels)
                 .for_each(|(to, from)| *to = *from as u8);
         }
+        seen(&id, &poses, &images);
         let weights = space.project_clip(images.as_slice().unwrap(), true).unwrap();
         write_npy(&root.join(format!("visual/{id}.npy")), &weights).unwrap();
         std::fs::create_dir_all(root.join("mouths")).unwrap();

@@ -54,6 +54,16 @@ impl PictureScore {
         self.jerk.1 += second_differences(&greys.1);
     }
 
+    /// Adds what was summed over other clips.
+    pub fn merge(&mut self, other: &PictureScore) {
+        self.squares += other.squares;
+        self.levels += other.levels;
+        self.ssim += other.ssim;
+        self.windows += other.windows;
+        self.fine = (self.fine.0 + other.fine.0, self.fine.1 + other.fine.1);
+        self.jerk = (self.jerk.0 + other.jerk.0, self.jerk.1 + other.jerk.1);
+    }
+
     /// Peak signal-to-noise ratio, decibels.
     pub fn psnr_db(&self) -> f64 {
         10.0 * (255.0f64.powi(2) / (self.squares / self.levels.max(1.0)).max(1e-12)).log10()
@@ -209,6 +219,17 @@ mod tests {
         // 20 log10(255 / 5)
         assert!((score.psnr_db() - 34.15).abs() < 0.1, "{}", score.psnr_db());
         assert!(score.ssim() > 0.99 && (score.jerk() - 1.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn clips_add_up() {
+        let (drawn, recorded) = (pictures(6, 4.0), pictures(6, 0.0));
+        let mut merged = score(&drawn, &recorded);
+        merged.merge(&score(&recorded, &recorded));
+        // Half of the pictures are perfect: half the squared error.
+        let halved = score(&drawn, &recorded).psnr_db() + 10.0 * 2.0f64.log10();
+        assert!((merged.psnr_db() - halved).abs() < 1e-6);
+        assert!((merged.ssim() - 0.5 * (1.0 + score(&drawn, &recorded).ssim())).abs() < 1e-9);
     }
 
     #[test]

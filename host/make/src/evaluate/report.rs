@@ -4,8 +4,10 @@ use serde::Serialize;
 use super::bootstrap::{Difference, Interval};
 use super::closure::Closure;
 use super::cold;
+use super::common_space::Common;
 use super::readability::Readable;
 use crate::features::{FeatureFolder, Split};
+use crate::hierarchical::Landmarks;
 use crate::noise;
 
 /// What is measured, and how.
@@ -21,6 +23,8 @@ pub struct EvaluateSettings {
     pub noise: Option<NoiseSettings>,
     /// Whether streams that begin in mid-clip are measured too.
     pub cold_starts: bool,
+    /// Landmarks of the clips, for the lip gap and the pictures of all systems; `None`: they are not compared so.
+    pub landmarks: Option<Landmarks>,
 }
 
 /// How noise is added.
@@ -52,6 +56,7 @@ impl Default for EvaluateSettings {
             reference: None,
             noise: None,
             cold_starts: false,
+            landmarks: None,
         }
     }
 }
@@ -91,6 +96,8 @@ pub struct Report {
     pub closure: Option<Closure>,
     /// How many words a lip reader who learnt from true mouths reads off the true mouths of these clips, where it could be measured.
     pub true_readability: Option<Interval>,
+    /// The true mouth's weights in the space that all systems have in common, where it was asked for: what reading them costs.
+    pub true_common: Option<Common>,
     /// X&L figure 10, for systems that iterate.
     pub convergence: Vec<Convergence>,
     /// X&L figures 7 and 11: the first parameter of a few clips.
@@ -128,6 +135,8 @@ pub struct System {
     pub cue_changes_per_second: Option<f64>,
     /// How often in a second of speech the lip gap turns between opening and closing, where it could be measured.
     pub gap_turns_per_second: Option<f64>,
+    /// Lip gap and pictures against landmarks and recording, where it was asked for.
+    pub common: Option<Common>,
 }
 
 /// Changes in a second of speech.

@@ -1,5 +1,6 @@
 //! A report's numbers as tables, which Markdown and HTML share.
 use super::bootstrap::{Difference, Interval};
+use super::common_space::Common;
 use super::report::Report;
 use crate::features::Split;
 use crate::noise::VOICES;
@@ -47,6 +48,7 @@ pub fn tables(report: &Report) -> Vec<Table> {
         Some(scores(report)),
         against(report),
         with_clip_means(report),
+        common_space(report),
         closure(report),
         readability(report),
         changes(report),
@@ -88,6 +90,38 @@ fn scores(report: &Report) -> Table {
         ]);
     }
     table
+}
+
+fn common_space(report: &Report) -> Option<Table> {
+    let own = report.true_common.as_ref()?;
+    let mut table = Table::new(
+        "Lips and pictures",
+        "What systems of any kind have in common. Lip gap: between the middles of the inner lips, read off the mouth parameters by one linear map for all systems, against landmarks; \
+         error in pixels of the video (root mean square), correlation over all pictures. PSNR and SSIM: mouths drawn on the clip's mean picture against the recorded mouths.",
+        &[
+            "system",
+            "lip gap error",
+            "lip gap correlation",
+            "PSNR, dB",
+            "SSIM",
+        ],
+    );
+    let row = |name: &str, of: &Common| {
+        vec![
+            name.to_owned(),
+            format!("{:.3}", of.gap_error),
+            format!("{:.3}", of.gap_correlation),
+            format!("{:.2}", of.psnr_db),
+            format!("{:.4}", of.ssim),
+        ]
+    };
+    table.rows.push(row("the true mouth's weights", own));
+    for system in &report.systems {
+        table
+            .rows
+            .extend(system.common.as_ref().map(|common| row(&system.name, common)));
+    }
+    Some(table)
 }
 
 fn against(report: &Report) -> Option<Table> {

@@ -63,6 +63,15 @@ pub fn align(shapes: &Array2<f32>, reference: ArrayView1<f32>) -> Result<Aligned
     Ok(Aligned { shapes, mean })
 }
 
+/// A shape laid onto a mean around the origin: moved, turned, not scaled.
+pub fn laid(shape: ArrayView1<f32>, mean: ArrayView1<f32>) -> Array1<f32> {
+    let mut shape = shape.to_owned();
+    centre(shape.view_mut());
+    let angle = angle(shape.view(), mean);
+    turn(&mut shape.view_mut(), angle);
+    shape
+}
+
 /// Moves a shape's centre of gravity to the origin.
 fn centre(mut shape: ArrayViewMut1<f32>) {
     let count = (shape.len() / 2).max(1) as f32;
@@ -116,6 +125,11 @@ mod tests {
         assert!((&aligned.mean - &wanted).iter().all(|d| d.abs() < 1e-3));
         for (row, size) in aligned.shapes.outer_iter().zip([1.0, 1.0, 1.0, 0.8, 1.2]) {
             assert!((&row - &(&wanted * size)).iter().all(|d| d.abs() < 1e-3));
+        }
+        // What is laid alone lies as it does among the others.
+        for (shape, row) in shapes.outer_iter().zip(aligned.shapes.outer_iter()) {
+            let alone = laid(shape, aligned.mean.view());
+            assert!((&alone - &row).iter().all(|d| d.abs() < 1e-3));
         }
     }
 

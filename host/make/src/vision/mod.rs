@@ -15,6 +15,7 @@ pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths, eigenmouths_by_channel};
 pub(crate) use face::Detector;
 pub use footage::{LONGEST_S, footage};
+pub(crate) use image::{colour_planes, luminance};
 pub(crate) use landmarks::{CHIN, EYES, Walk};
 pub use landmarks::{LandmarkFinder, Landmarks, Outline};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};

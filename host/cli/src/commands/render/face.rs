@@ -25,7 +25,7 @@ pub(super) fn draw(
 ) -> Result<Drawn> {
     let terminal = Terminal::default();
     // What is said first: a sound that gives no mouth is told before a minute of video is looked at.
-    let tracks = tracks(args, space, &mut source, sound)?;
+    let tracks = tracks(args, space.size(), &mut source, sound)?;
     let loudness = match sound.track() {
         Some(track) => Some(energy(&track, args.fps, tracks.nrows())?),
         None => None,
@@ -41,14 +41,9 @@ pub(super) fn draw(
     film(args, &mut scene, &tracks, sound)
 }
 
-/// What every picture shows, `[pictures, D]`.
-pub(super) fn tracks(
-    args: &Args,
-    space: &MouthSpace,
-    source: &mut Source,
-    sound: &Sound,
-) -> Result<Array2<f32>> {
-    let mut tracks = Tracks::new(space.size());
+/// What every picture shows, `[pictures, size]`.
+pub(super) fn tracks(args: &Args, size: usize, source: &mut Source, sound: &Sound) -> Result<Array2<f32>> {
+    let mut tracks = Tracks::new(size);
     source.play(args, sound, (&mut tracks, 0), |_| Ok(()))?;
     Ok(tracks.into_rows())
 }

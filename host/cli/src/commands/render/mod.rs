@@ -9,6 +9,7 @@ use super::streams::{ending, file_name, name, read_sound, say};
 use crate::progress::Terminal;
 use lipstream::cues;
 use lipstream::engine::{Converted, Engine, RunSettings};
+use lipstream::kinds::hierarchical::HierarchicalModel;
 use lipstream::mouth::MouthSpace;
 use lipstream::render::{self, Painter, Scene as _, Settings, page};
 use lipstream::tensors::Tensors;
@@ -19,6 +20,7 @@ use lipstream_media::files;
 
 mod face;
 mod going_on;
+mod hierarchical;
 mod source;
 
 use going_on::{begun, sink};
@@ -30,7 +32,7 @@ pub(crate) struct Args {
     /// Speech (WAV, FLAC, MP3, Ogg, M4A and others), parameters that `lipstream convert` wrote (.npy, 100 frames a second), or a recorded stream (.stream);
     /// - is speech on standard input
     input: PathBuf,
-    /// Model (.safetensors); for parameters, the mouth.safetensors of a feature folder does as well [default: the shipped one]
+    /// Model (.safetensors), of which a hierarchical one draws the whole face; for parameters, the mouth.safetensors of a feature folder does as well [default: the shipped one]
     #[arg(short, long)]
     model: Option<PathBuf>,
     /// Where to: .mp4, .html (a page that plays it), FOLDER/ (numbered PNG files), - (raw rgb24 pictures on standard output); every
@@ -52,6 +54,9 @@ pub(crate) struct Args {
     /// Camera noise, standard deviation in levels of 0..255 (real cameras: 1 to 3) [default: none; on a recording what the drawn mouth lacks against it]
     #[arg(long)]
     noise: Option<f32>,
+    /// With a hierarchical model: bring another voice's speech parameters to the training voice's distribution, as learnt from the whole sound
+    #[arg(long, value_enum)]
+    adapt: Option<choices::Adaptation>,
     #[command(flatten)]
     face: FaceArgs,
     /// Put the fine detail that eigenmouths leave out onto the mouth alone, from the mouths of this feature folder, on which the model was trained
@@ -73,12 +78,23 @@ pub(crate) fn run(args: Args) -> Result<()> {
         noise: args.noise.unwrap_or(0.0),
     };
     let tensors = Tensors::read_or_shipped(args.model.as_deref())?;
-    let space = mouth(&tensors, args.model_name())?;
-    settings.size(&space)?;
     let of_speech = !["stream", "npy"].contains(&ending(&args.input).as_str());
     if args.audio.is_some() && of_speech {
         bail!("--audio goes with parameters (.npy); speech is its own sound");
     }
+    if HierarchicalModel::is_kind(&tensors) {
+        let drawn = hierarchical::draw(&args, &tensors, of_speech)?;
+        tell(&args, &drawn);
+        return Ok(());
+    }
+    if args.adapt.is_some() {
+        bail!(
+            "--adapt is of hierarchical models; {} holds another",
+            args.model_name().display()
+        );
+    }
+    let space = mouth(&tensors, args.model_name())?;
+    settings.size(&space)?;
     let drawn = match (ending(&args.output).as_str(), &args.face.background) {
         ("html", _) if !of_speech => {
             bail!("a page shows what the model hears: give speech, not parameters or a recorded stream")
@@ -96,11 +112,17 @@ pub(crate) fn run(args: Args) -> Result<()> {
             }
         }
     };
+    tell(&args, &drawn);
+    Ok(())
+}
+
+/// Says what was made.
+fn tell(args: &Args, drawn: &Drawn) {
     let Drawn {
         pictures,
         size: (width, height),
         sound,
-    } = drawn;
+    } = *drawn;
     say(
         &args.output,
         &format!(
@@ -113,7 +135,6 @@ pub(crate) fn run(args: Args) -> Result<()> {
             }
         ),
     );
-    Ok(())
 }
 
 /// What was made.
@@ -135,7 +156,7 @@ fn alone(
 ) -> Result<Drawn> {
     let mut scene = Painter::new(space, settings)?;
     if let (Some(folder), Some(choice)) = (&args.detail_from, args.face.detail()) {
-        let tracks = face::tracks(args, space, &mut source, sound)?;
+        let tracks = face::tracks(args, space.size(), &mut source, sound)?;
         let candidates = details::candidates(&FeatureFolder::open(folder)?, space, &Terminal::default())?;
         let mut scene = scene.with_details(candidates, tracks.view(), choice)?;
         return face::film(args, &mut scene, &tracks, sound);

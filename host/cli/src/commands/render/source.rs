@@ -50,6 +50,11 @@ impl Sound {
         Ok(sound)
     }
 
+    /// A sound that has been read.
+    pub(super) fn of_samples(samples: Vec<i16>) -> Result<Self> {
+        Self::new(Kept::Samples(samples))
+    }
+
     pub(super) fn track(&self) -> Option<Soundtrack<'_>> {
         match &self.kept {
             Kept::Nowhere => None,

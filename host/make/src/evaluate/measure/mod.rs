@@ -2,12 +2,14 @@
 use std::collections::HashSet;
 
 use lipstream_core::{N_STATIC, SAMPLE_RATE_HZ};
+use ndarray::Array2;
 use rayon::prelude::*;
 
 use super::bootstrap::{Draws, Resampled};
 use super::candidate::{Candidate, Heard};
 use super::clip_means::{self, ClipMean};
 use super::closure::{self, Closure, Gaps, TrueGap};
+use super::common_space::{self, Common};
 use super::metrics::Score;
 use super::readability::{self, Read, Reader};
 use super::report::{Against, Curve, EvaluateSettings, Point, Rates, Report, System};
@@ -37,6 +39,7 @@ struct Whole {
     /// Turns of the gap in a second of speech.
     turns: Option<f64>,
     changes: Option<changes::Changes>,
+    common: Option<Common>,
     /// First parameter of the clips that are drawn.
     drawn: Vec<Vec<f32>>,
 }
@@ -52,6 +55,8 @@ struct Bench<'a> {
     means: Option<Vec<ClipMean>>,
     /// Reads lips; none where the clips' words are not known.
     reader: Option<Reader>,
+    /// Judges in the space that all systems have in common; none where it was not asked for.
+    common: Option<common_space::Judge>,
     draws: Draws,
     settings: &'a EvaluateSettings,
     start_mean: [f32; N_STATIC],
@@ -105,6 +110,11 @@ pub fn measure(
         phones: &phones,
         means: means.ok(),
         reader: reader.ok(),
+        common: settings
+            .landmarks
+            .as_ref()
+            .map(|landmarks| common_space::Judge::of(folder, &truths, landmarks))
+            .transpose()?,
         draws: Draws::new(truths.len(), settings.resamples, settings.seed),
         settings,
         start_mean: std::array::from_fn(|i| folder.manifest.start_mean[i]),
@@ -155,6 +165,10 @@ pub fn measure(
         true_readability: own_lips
             .as_ref()
             .map(|own| readability::judge(own, own, &bench.draws).accuracy),
+        true_common: bench
+            .common
+            .as_ref()
+            .map(|judge| judge.common(truths.iter().map(|truth| &truth.visual))),
         look_ahead: curves(candidates, &whole),
         babble_of: settings
             .noise
@@ -250,6 +264,7 @@ fn systems(
                 viseme_changes_per_second: own.changes.map(|c| c.visemes_per_second()),
                 cue_changes_per_second: own.changes.map(|c| c.cues_per_second()),
                 gap_turns_per_second: own.turns,
+                common: own.common,
             }
         })
         .collect()
@@ -354,7 +369,7 @@ impl<'a> Bench<'a> {
             gap: Vec<f32>,
             read: Option<Read>,
             changes: Option<changes::Changes>,
-            first: Vec<f32>,
+            parameters: Array2<f32>,
         }
         let said: Vec<Said> = self
             .heard
@@ -378,7 +393,7 @@ impl<'a> Bench<'a> {
                     changes: visemes
                         .map(|v| changes::Changes::of(v.view(), &self.phones[n], self.seconds(n)))
                         .transpose()?,
-                    first: said.parameters.column(0).to_vec(),
+                    parameters: said.parameters,
                 })
             })
             .collect::<Result<_>>()?;
@@ -393,7 +408,14 @@ impl<'a> Bench<'a> {
             read: Vec::new(),
             turns: None,
             changes: None,
-            drawn: drawn.iter().map(|&n| said[n].first.clone()).collect(),
+            common: self
+                .common
+                .as_ref()
+                .map(|judge| judge.common(said.iter().map(|s| &s.parameters))),
+            drawn: drawn
+                .iter()
+                .map(|&n| said[n].parameters.column(0).to_vec())
+                .collect(),
         };
         for clip in said {
             whole.gaps.push(clip.gap);

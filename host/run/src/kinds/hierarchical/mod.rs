@@ -16,6 +16,7 @@ mod compose;
 pub mod linear;
 pub mod mesh;
 pub mod speech;
+pub mod voice;
 pub mod yiq;
 
 pub use appearance::Appearance;
@@ -271,8 +272,12 @@ impl HierarchicalModel {
 
     /// [`HierarchicalModel::convert`] from mel-cepstra that are already there.
     pub fn convert_cepstra(&self, cepstra: &Array2<f32>) -> Array2<f32> {
-        let speech = self.speech_parameters(cepstra);
-        let parts: Vec<Array2<f32>> = self.nodes.iter().map(|node| node.map.convert(&speech)).collect();
+        self.convert_speech(&self.speech_parameters(cepstra))
+    }
+
+    /// [`HierarchicalModel::convert`] from speech parameters, which a [`voice::Voice`] may have brought to those of the training voice.
+    pub fn convert_speech(&self, speech: &Array2<f32>) -> Array2<f32> {
+        let parts: Vec<Array2<f32>> = self.nodes.iter().map(|node| node.map.convert(speech)).collect();
         let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
         clusters::smooth(&concatenate(Axis(1), &views).expect("a row for each picture"))
     }
@@ -301,6 +306,15 @@ impl HierarchicalModel {
             }
         }
         parts.swap_remove(0)
+    }
+
+    /// Shapes of the composed root for a row of the numbers of all nodes each, `[n, 2 × landmarks]`.
+    pub fn shapes(&self, appearances: &Array2<f32>) -> Array2<f32> {
+        let mut out = Array2::zeros((appearances.nrows(), self.nodes[0].appearance.shape.size()));
+        for (row, mut shape) in appearances.outer_iter().zip(out.outer_iter_mut()) {
+            shape.assign(&self.compose(row).shape);
+        }
+        out
     }
 
     /// The training picture whose appearance is nearest to a composed root's.

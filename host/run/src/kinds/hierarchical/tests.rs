@@ -145,6 +145,8 @@ fn a_child_moves_its_landmarks_and_its_parent_only_the_rest() {
     for k in [0, 1, 3, 4, 5, 6, 8] {
         assert_eq!(shape[k], FACE[k]);
     }
+    let rows = array![[0.0, 0.0, 0.0, 0.0], [2.0, 0.0, 3.0, 0.0]];
+    assert_eq!(model.shapes(&rows).row(1), root.shape);
 }
 
 /// What comes out is the parent's own projection of its texture with the mouth's levels laid over it.

@@ -1,0 +1,365 @@
+//! The second paper's face on a drawn talker, end to end: landmarks and videos to a model, a sound to faces, and what is said to input that cannot be used.
+mod common;
+
+use std::path::Path;
+
+use common::program::{one_line, run_with_programs, text};
+use common::talker::{VIDEO_HZ, talker_seen};
+use lipstream::kinds::hierarchical::HierarchicalModel;
+use lipstream::render::drawn::{HEIGHT, Pose, WIDTH};
+use lipstream_media::sink::{Film, Mp4, Sink as _};
+use ndarray::{Array3, Array4};
+use ndarray_npy::WriteNpyExt as _;
+
+/// Side of a head.
+const HEAD: usize = 96;
+/// Where the mouth's picture lies in the head's.
+const PLACE: (usize, usize) = (16, 40);
+
+/// Left corner, top, right corner, bottom of the outer lips and of the inner ones, then the head's corners and its chin: as `drawn::draw` has them.
+fn landmarks(pose: &Pose) -> [[f32; 2]; 13] {
+    let half = 20.0 - 9.0 * pose.round + 4.0 * pose.spread;
+    let gap = 0.4 + 11.0 * pose.open * (1.0 - 0.35 * pose.round);
+    let lip = 3.6 + 2.2 * pose.round - 0.8 * pose.spread;
+    let x = PLACE.0 as f32 + WIDTH as f32 / 2.0 - 0.5;
+    let y = PLACE.1 as f32 + HEIGHT as f32 * 0.46 - 0.5;
+    let (up, down) = (y - 0.4 * gap, y + 0.6 * gap);
+    let end = (HEAD - 3) as f32;
+    [
+        [x - half, y],
+        [x, up - 0.8 * lip],
+        [x + half, y],
+        [x, down + 1.25 * lip],
+        [x - half + 3.0, y],
+        [x, up],
+        [x + half - 3.0, y],
+        [x, down],
+        [2.0, 2.0],
+        [end, 2.0],
+        [end, end],
+        [2.0, end],
+        [x, end - 5.0 + 0.4 * gap],
+    ]
+}
+
+/// A head with a pattern around the mouth.
+fn head(mouth: ndarray::ArrayView3<u8>) -> Vec<u8> {
+    let mut rgb = Vec::with_capacity(HEAD * HEAD * 3);
+    for y in 0..HEAD {
+        for x in 0..HEAD {
+            let inside = (PLACE.0..PLACE.0 + WIDTH).contains(&x) && (PLACE.1..PLACE.1 + HEIGHT).contains(&y);
+            match inside {
+                true => rgb.extend((0..3).map(|c| mouth[(y - PLACE.1, x - PLACE.0, c)])),
+                false => rgb.extend([180 + (x % 16) as u8, 130 + (y / 4) as u8, 110]),
+            }
+        }
+    }
+    rgb
+}
+
+/// The talker's heads and landmarks in `videos/` and `landmarks/`, features in `features/`.
+fn heads(root: &Path) {
+    for folder in ["videos", "landmarks", "features"] {
+        std::fs::create_dir_all(root.join(folder)).unwrap();
+    }
+    talker_seen(&root.join("features"), |id, poses, images: &Array4<u8>| {
+        let film = Film {
+            width: HEAD,
+            height: HEAD,
+            fps: VIDEO_HZ as u32,
+            sound: None,
+            comment: None,
+        };
+        let mut video = Mp4::new(&root.join(format!("videos/{id}.mp4")), &film).unwrap();
+        for image in images.outer_iter() {
+            video.picture(&head(image)).unwrap();
+        }
+        Box::new(video).finish().unwrap();
+        let points =
+            Array3::from_shape_fn((poses.len(), 13, 2), |(t, k, axis)| landmarks(&poses[t])[k][axis]);
+        let file = std::fs::File::create(root.join(format!("landmarks/{id}.npy"))).unwrap();
+        points.write_npy(file).unwrap();
+    });
+    std::fs::write(
+        root.join("landmarks/groups.json"),
+        r#"[["lips_outer", 4], ["lips_inner", 4], ["head", 5]]"#,
+    )
+    .unwrap();
+    std::fs::write(
+        root.join("tree.json"),
+        r#"{"areas":[{"name":"face"},{"name":"mouth","parent":"face","landmarks":[0,1,2,3,4,5,6,7]}]}"#,
+    )
+    .unwrap();
+}
+
+const TRAIN: [&str; 14] = [
+    "train",
+    "features",
+    "--system",
+    "hierarchical",
+    "--landmarks",
+    "landmarks",
+    "--videos",
+    "videos",
+    "--tree",
+    "tree.json",
+    "--pictures",
+    "300",
+    "-o",
+    "m.safetensors",
+];
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / v.len() as f64;
+    let (ma, mb) = (mean(a), mean(b));
+    let sum = |f: &dyn Fn(f64, f64) -> f64| std::iter::zip(a, b).map(|(x, y)| f(x - ma, y - mb)).sum::<f64>();
+    sum(&|x, y| x * y) / (sum(&|x, _| x * x) * sum(&|_, y| y * y)).sqrt()
+}
+
+#[test]
+fn a_drawn_head_learns_to_speak() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    heads(root);
+    let mut train = TRAIN.to_vec();
+    train.extend(["--clusters", "4,12", "--starts", "2"]);
+    let trained = run_with_programs(root, &train);
+    let said = text(&trained.stderr);
+    assert!(trained.status.success(), "{said}");
+    assert!(
+        said.contains("300 training pictures of 10 clips") && said.contains("mouth: 12 clusters: error"),
+        "{said}"
+    );
+    let model = HierarchicalModel::read(&root.join("m.safetensors")).unwrap();
+    let names: Vec<&str> = model.groups().iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["face", "mouth"]);
+
+    // A clip that took no part: 65 pictures, dark where the mouth is open, as the recording is.
+    let pictures = run_with_programs(
+        root,
+        &[
+            "render",
+            "features/wav/clip15.wav",
+            "-m",
+            "m.safetensors",
+            "--scale",
+            "1",
+            "-o",
+            "-",
+        ],
+    );
+    assert!(
+        pictures.status.success(),
+        "{}",
+        String::from_utf8_lossy(&pictures.stderr)
+    );
+    let recorded = lipstream_media::video::decode(&root.join("videos/clip15.mp4")).unwrap();
+    let side = pictures.stdout.len() / recorded.len() / 3;
+    let width = (side as f64).sqrt() as usize;
+    assert_eq!(width * width * 3 * recorded.len(), pictures.stdout.len());
+    // The mean face begins a pixel before its own landmarks, which begin two pixels inside the head.
+    let darkness = |rgb: &[u8], width: usize, off: usize| -> f64 {
+        let (left, top) = (PLACE.0 + 24 - off, PLACE.1 + 18 - off);
+        let pixels = (top..top + 12).flat_map(|y| (left..left + 16).map(move |x| 3 * (y * width + x)));
+        pixels.map(|at| -f64::from(rgb[at])).sum()
+    };
+    let drawn: Vec<f64> = pictures
+        .stdout
+        .chunks(width * width * 3)
+        .map(|rgb| darkness(rgb, width, 1))
+        .collect();
+    let truth: Vec<f64> = (0..recorded.len())
+        .map(|t| darkness(recorded.frame(t), HEAD, 0))
+        .collect();
+    let follows = correlation(&drawn, &truth);
+    assert!(
+        follows > 0.8,
+        "the drawn mouth's darkness follows the recorded one's by {follows:.2}"
+    );
+
+    // Beside the mean and ridge regression, and in the space that all have in common.
+    let measured = run_with_programs(
+        root,
+        &[
+            "evaluate",
+            "features",
+            "--also",
+            "hierarchical=m.safetensors",
+            "--landmarks",
+            "landmarks",
+            "--json",
+        ],
+    );
+    assert!(measured.status.success(), "{}", text(&measured.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&measured.stdout).unwrap();
+    let system = |name: &str| {
+        let all = report["systems"].as_array().unwrap();
+        all.iter().find(|system| system["name"] == name).unwrap().clone()
+    };
+    let (mean, own) = (system("mean"), system("hierarchical"));
+    let number = |of: &serde_json::Value, what: &str| of["common"][what].as_f64().unwrap();
+    // A mean mouth follows nothing; the weights' true gap is nearly the landmarks'.
+    assert_eq!(number(&mean, "gap_correlation"), 0.0);
+    assert!(report["true_common"]["gap_correlation"].as_f64().unwrap() > 0.97);
+    assert!(number(&own, "gap_correlation") > 0.8, "{own}");
+    for (what, sign) in [("gap_error", -1.0), ("psnr_db", 1.0), ("ssim", 1.0)] {
+        assert!(
+            sign * number(&own, what) > sign * number(&mean, what),
+            "{what}: {own} {mean}"
+        );
+    }
+    let said = refuse(root, &["evaluate", "features", "-m", "m.safetensors"]);
+    assert!(said.contains("--also"), "{said}");
+
+    // Somebody who speaks at another level: a voice that is adapted to is drawn otherwise.
+    let bytes = |adapt: &[&str]| {
+        let mut words = vec![
+            "render",
+            "features/wav/clip15.wav",
+            "-m",
+            "m.safetensors",
+            "--scale",
+            "1",
+            "-o",
+            "-",
+        ];
+        words.extend(adapt);
+        let drawn = run_with_programs(root, &words);
+        assert!(drawn.status.success(), "{}", text(&drawn.stderr));
+        drawn.stdout
+    };
+    assert_ne!(bytes(&["--adapt", "level"]), pictures.stdout);
+    assert_ne!(bytes(&["--adapt", "linear"]), bytes(&["--adapt", "level"]));
+    let said = refuse(
+        root,
+        &[
+            "render",
+            "features/wav/clip15.wav",
+            "--adapt",
+            "level",
+            "-o",
+            "f.mp4",
+        ],
+    );
+    assert!(said.contains("--adapt is of hierarchical models"), "{said}");
+
+    // A video with its sound, to a file.
+    let said = succeed_words(
+        root,
+        &[
+            "render",
+            "features/wav/clip15.wav",
+            "-m",
+            "m.safetensors",
+            "-o",
+            "f.mp4",
+        ],
+    );
+    assert!(said.contains("65 pictures of 384×384"), "{said}");
+    for (words, wanted) in [
+        (
+            ["render", "p.npy", "-m", "m.safetensors", "-o", "f.mp4"],
+            "moved by speech",
+        ),
+        (
+            [
+                "render",
+                "features/wav/clip15.wav",
+                "-m",
+                "m.safetensors",
+                "-o",
+                "f.html",
+            ],
+            "write a video",
+        ),
+        (
+            [
+                "convert",
+                "features/wav/clip15.wav",
+                "-m",
+                "m.safetensors",
+                "-o",
+                "p.npy",
+            ],
+            "is a hierarchical model",
+        ),
+    ] {
+        let said = refuse(root, &words);
+        assert!(said.contains(wanted), "{said}");
+    }
+}
+
+/// What a run says that refuses.
+fn refuse(root: &Path, words: &[&str]) -> String {
+    one_line(run_with_programs(root, words))
+}
+
+fn succeed_words(root: &Path, words: &[&str]) -> String {
+    let ran = run_with_programs(root, words);
+    assert!(ran.status.success(), "{}", text(&ran.stderr));
+    text(&ran.stdout)
+}
+
+#[test]
+fn what_cannot_be_trained_is_said_in_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    heads(root);
+    let said = refuse(
+        root,
+        &[
+            "train",
+            "features",
+            "--system",
+            "hierarchical",
+            "-o",
+            "m.safetensors",
+        ],
+    );
+    assert!(said.contains("--landmarks"), "{said}");
+    let said = refuse(
+        root,
+        &[
+            "train",
+            "features",
+            "--landmarks",
+            "landmarks",
+            "-o",
+            "m.safetensors",
+        ],
+    );
+    assert!(said.contains("--system hierarchical"), "{said}");
+    let refused = run_with_programs(
+        root,
+        &["train", "features", "--system", "gru", "-o", "m.safetensors"],
+    );
+    assert_eq!(refused.status.code(), Some(2));
+    let said = text(&refused.stderr);
+    assert!(
+        said.contains("ph-vi-chmm") && said.contains("hierarchical"),
+        "{said}"
+    );
+    let mut words = TRAIN.to_vec();
+    words.extend(["--lag", "3"]);
+    let refused = run_with_programs(root, &words);
+    assert_eq!(refused.status.code(), Some(2));
+    let with = |at: usize, word: &'static str| {
+        let mut words = TRAIN;
+        words[at] = word;
+        refuse(root, &words)
+    };
+    let said = with(7, "landmarks");
+    assert!(said.contains("landmarks holds no"), "{said}");
+    let said = with(5, "videos");
+    assert!(said.contains("holds no landmarks"), "{said}");
+    std::fs::write(root.join("broken.json"), "{").unwrap();
+    let said = with(9, "broken.json");
+    assert!(said.contains("broken.json is no tree"), "{said}");
+    std::fs::remove_file(root.join("landmarks/clip03.npy")).unwrap();
+    let said = with(11, "300");
+    assert!(
+        said.contains("clip clip03: there are no landmarks of it"),
+        "{said}"
+    );
+    assert!(!root.join("m.safetensors").exists());
+}

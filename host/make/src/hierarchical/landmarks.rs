@@ -1,0 +1,333 @@
+//! Landmarks of every picture of a corpus, from files.
+//!
+//! Two layouts are read. A folder holds `ID.npy` for each clip: f32 `[pictures, landmarks, 2]`, x and y in pixels of the video, whose pixels have their centres at whole
+//! numbers, not finite where there is no face; and, where it says so, `groups.json`: `[["lips_outer", 20], ["lips_inner", 16], …]`. A NumPy archive (`.npz`) holds all clips: `clips`, their names; `points_x32`, i16 `[clips, pictures, landmarks, 2]`, pixels × 32, −32768
+//! where there is none; and, where it says so, `groups` and `group_sizes`, names and sizes of runs of landmarks that belong together, such as `lips_outer`, 20.
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::Path;
+
+use lipstream::kinds::hierarchical::Tree;
+use lipstream::npy;
+use lipstream_media::files;
+use ndarray::{Array1, Array3, Array4};
+
+use crate::error::{Context as _, Error, Result, bail, ensure};
+
+/// In a `.npz`: units in a pixel.
+const UNITS: f32 = 32.0;
+/// Largest array of a `.npz` that is read.
+const MOST_BYTES: u64 = 1 << 30;
+
+/// Landmarks by clip.
+#[derive(Clone, Debug, Default)]
+pub struct Landmarks {
+    of: BTreeMap<String, Array3<f32>>,
+    count: usize,
+    groups: Vec<(String, std::ops::Range<usize>)>,
+}
+
+impl Landmarks {
+    /// Reads a folder or an archive.
+    ///
+    /// # Errors
+    ///
+    /// What is missing or does not fit, and in which file.
+    pub fn read(path: &Path) -> Result<Self> {
+        let found = if path.is_dir() {
+            folder(path)?
+        } else {
+            archive(path)?
+        };
+        ensure!(
+            found.count >= 3,
+            Data,
+            "{}: {} landmarks in a picture; a face needs three at least",
+            path.display(),
+            found.count
+        );
+        Ok(found)
+    }
+
+    /// Landmarks of a picture.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// A clip's landmarks `[pictures, landmarks, 2]`; a picture without a face has numbers that are not finite.
+    pub fn of(&self, clip: &str) -> Option<&Array3<f32>> {
+        self.of.get(clip)
+    }
+
+    /// The paper's tree, where the file says which landmarks are lips.
+    ///
+    /// # Errors
+    ///
+    /// That it does not, and what to do.
+    pub fn tree(&self) -> Result<Tree> {
+        let lips: Vec<usize> = self
+            .groups
+            .iter()
+            .filter(|(name, _)| name.starts_with("lips"))
+            .flat_map(|(_, range)| range.clone())
+            .collect();
+        ensure!(
+            !lips.is_empty(),
+            Choice,
+            "the landmark file does not say which landmarks are lips: say with --tree FILE.json which belong to the mouth"
+        );
+        Ok(Tree::face_and_mouth(lips))
+    }
+
+    /// The landmarks of the inner lips, in their order around the mouth, where the file names them.
+    pub fn inner_lips(&self) -> Option<std::ops::Range<usize>> {
+        let group = self.groups.iter().find(|(name, _)| name == "lips_inner");
+        group.map(|(_, range)| range.clone())
+    }
+}
+
+fn folder(path: &Path) -> Result<Landmarks> {
+    let mut found = Landmarks::default();
+    let entries = std::fs::read_dir(path).with_context(|| format!("cannot read {}", path.display()))?;
+    for entry in entries {
+        let file = entry?.path();
+        let (Some(stem), true) = (
+            file.file_stem().and_then(|stem| stem.to_str()),
+            file.extension().is_some_and(|ending| ending == "npy"),
+        ) else {
+            continue;
+        };
+        let points: Array3<f32> = npy::read_array(&file).map_err(Error::other)?;
+        let (_, count, axes) = points.dim();
+        found.count = if found.of.is_empty() { count } else { found.count };
+        ensure!(
+            axes == 2 && count == found.count,
+            File,
+            "{}: shape {:?}; landmarks are [pictures, landmarks, 2], and every clip has as many as the others ({})",
+            file.display(),
+            points.dim(),
+            found.count
+        );
+        found.of.insert(stem.to_owned(), points);
+    }
+    ensure!(
+        !found.of.is_empty(),
+        Data,
+        "{} holds no landmarks: a folder of them has ID.npy for each clip",
+        path.display()
+    );
+    let file = path.join("groups.json");
+    if file.is_file() {
+        let wrong = || format!("{} cannot be used", file.display());
+        let groups: Vec<(String, i64)> =
+            serde_json::from_slice(&files::read_bytes(&file).map_err(Error::other)?).with_context(wrong)?;
+        let (names, sizes): (Vec<String>, Vec<i64>) = groups.into_iter().unzip();
+        found.groups = runs(names, &sizes, found.count).with_context(wrong)?;
+    }
+    Ok(found)
+}
+
+fn archive(path: &Path) -> Result<Landmarks> {
+    let name = path.display();
+    let file = File::open(path).with_context(|| format!("cannot read {name}"))?;
+    let mut zip = zip::ZipArchive::new(file)
+        .with_context(|| format!("{name} is no NumPy archive (.npz), and no folder of ID.npy"))?;
+    let mut member = |member: &str| -> Result<Vec<u8>> {
+        let entry = zip
+            .by_name(&format!("{member}.npy"))
+            .with_context(|| format!("{name} holds no array {member}"))?;
+        let mut bytes = Vec::new();
+        entry.take(MOST_BYTES).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    };
+    let wrong = |array: &str| format!("{name}: its array {array} cannot be used");
+    let clips = words(&member("clips")?).with_context(|| wrong("clips"))?;
+    let points: Array4<i16> = npy::parse(&member("points_x32")?)
+        .map_err(Error::File)
+        .with_context(|| wrong("points_x32"))?;
+    let (n, _, count, axes) = points.dim();
+    ensure!(
+        n == clips.len() && axes == 2,
+        File,
+        "{name}: {} clips are named, the shape of points_x32 is {:?}; it must be [clips, pictures, landmarks, 2]",
+        clips.len(),
+        points.dim()
+    );
+    let groups = match (member("groups"), member("group_sizes")) {
+        (Ok(names), Ok(sizes)) => {
+            let names = words(&names).with_context(|| wrong("groups"))?;
+            let sizes: Array1<i64> = npy::parse(&sizes)
+                .map_err(Error::File)
+                .with_context(|| wrong("group_sizes"))?;
+            runs(names, sizes.as_slice().unwrap_or_default(), count).with_context(|| wrong("group_sizes"))?
+        }
+        _ => Vec::new(),
+    };
+    let pixels = |v: i16| {
+        if v == i16::MIN {
+            f32::NAN
+        } else {
+            f32::from(v) / UNITS
+        }
+    };
+    let of = clips
+        .into_iter()
+        .zip(points.outer_iter().map(|clip| clip.mapv(pixels)));
+    Ok(Landmarks {
+        of: of.collect(),
+        count,
+        groups,
+    })
+}
+
+/// Runs of landmarks that follow each other.
+fn runs(names: Vec<String>, sizes: &[i64], count: usize) -> Result<Vec<(String, std::ops::Range<usize>)>> {
+    let mut begin = 0usize;
+    let mut out = Vec::new();
+    for (name, size) in names.into_iter().zip(sizes) {
+        let end = usize::try_from(*size)
+            .ok()
+            .and_then(|size| begin.checked_add(size));
+        let Some(end) = end.filter(|end| *end <= count) else {
+            bail!(File, "the group {name} reaches beyond the {count} landmarks");
+        };
+        out.push((name, begin..end));
+        begin = end;
+    }
+    Ok(out)
+}
+
+/// The words of a NumPy array of Unicode strings (`<U6`): four bytes a letter, zeros behind a shorter word.
+fn words(bytes: &[u8]) -> Result<Vec<String>> {
+    let refused = || Error::File("it is no array of Unicode words".to_owned());
+    let length = match bytes.get(6..10) {
+        Some(&[1, _, low, high]) if bytes.starts_with(b"\x93NUMPY") => {
+            usize::from(u16::from_le_bytes([low, high]))
+        }
+        _ => return Err(refused()),
+    };
+    let header = bytes.get(10..10 + length).ok_or_else(refused)?;
+    let header = std::str::from_utf8(header).map_err(|_| refused())?;
+    let (_, kind) = header.split_once("'<U").ok_or_else(refused)?;
+    let letters: usize = kind
+        .split('\'')
+        .next()
+        .and_then(|digits| digits.parse().ok())
+        .filter(|letters| *letters > 0)
+        .ok_or_else(refused)?;
+    let data = &bytes[10 + length..];
+    let width = letters
+        .checked_mul(4)
+        .filter(|width| data.len() % width == 0)
+        .ok_or_else(refused)?;
+    let word = |word: &[u8]| -> Option<String> {
+        let codes = word
+            .chunks(4)
+            .map(|c| u32::from_le_bytes([c[0], c[1], c[2], c[3]]));
+        codes.take_while(|c| *c != 0).map(char::from_u32).collect()
+    };
+    data.chunks(width).map(|w| word(w).ok_or_else(refused)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::chain;
+    use ndarray_npy::WriteNpyExt as _;
+    use std::io::Write as _;
+
+    fn npy_words(words: &[&str], letters: usize) -> Vec<u8> {
+        let header = format!(
+            "{{'descr': '<U{letters}', 'fortran_order': False, 'shape': ({},), }}\n",
+            words.len()
+        );
+        let mut out = b"\x93NUMPY\x01\x00".to_vec();
+        out.extend((header.len() as u16).to_le_bytes());
+        out.extend(header.bytes());
+        for word in words {
+            let codes = word.chars().map(u32::from).chain(std::iter::repeat(0));
+            codes
+                .take(letters)
+                .for_each(|code| out.extend(code.to_le_bytes()));
+        }
+        out
+    }
+
+    fn npz(path: &Path, members: &[(&str, Vec<u8>)]) {
+        let mut zip = zip::ZipWriter::new(File::create(path).unwrap());
+        for (name, bytes) in members {
+            zip.start_file(*name, zip::write::SimpleFileOptions::default())
+                .unwrap();
+            zip.write_all(bytes).unwrap();
+        }
+        zip.finish().unwrap();
+    }
+
+    fn bytes<D: ndarray::Dimension, T: ndarray_npy::WritableElement>(
+        array: &ndarray::Array<T, D>,
+    ) -> Vec<u8> {
+        let mut out = Vec::new();
+        array.write_npy(&mut out).unwrap();
+        out
+    }
+
+    #[test]
+    fn an_archive_is_read_with_its_groups_and_its_gaps() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("l.npz");
+        let mut points = Array4::<i16>::from_shape_fn((2, 3, 4, 2), |(c, t, k, axis)| {
+            (((c * 3 + t) * 4 + k) * 2 + axis) as i16 * 16
+        });
+        points[(1, 2, 3, 0)] = i16::MIN;
+        let sizes = ndarray::array![1i64, 3];
+        let members = [
+            ("clips.npy", npy_words(&["ab", "abcd"], 4)),
+            ("points_x32.npy", bytes(&points)),
+            ("groups.npy", npy_words(&["jaw", "lips_inner"], 10)),
+            ("group_sizes.npy", bytes(&sizes)),
+        ];
+        npz(&path, &members);
+        let read = Landmarks::read(&path).unwrap();
+        assert_eq!((read.count(), read.inner_lips()), (4, Some(1..4)));
+        assert_eq!(read.of("ab").unwrap()[(2, 3, 1)], 23.0 * 0.5);
+        assert!(read.of("abcd").unwrap()[(2, 3, 0)].is_nan() && read.of("a").is_none());
+        assert_eq!(read.tree().unwrap().areas[1].landmarks, [1, 2, 3]);
+        // Without groups nobody knows where the mouth is.
+        npz(&path, &members[..2]);
+        let refused = Landmarks::read(&path).unwrap().tree().unwrap_err().to_string();
+        assert!(refused.contains("--tree"), "{refused}");
+        npz(&path, &members[1..]);
+        let refused = chain(&Landmarks::read(&path).unwrap_err());
+        assert!(refused.contains("l.npz holds no array clips"), "{refused}");
+    }
+
+    #[test]
+    fn a_folder_is_read_and_what_does_not_fit_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, landmarks: usize| {
+            let points = Array3::<f32>::from_elem((2, landmarks, 2), 1.5);
+            std::fs::write(folder.path().join(name), bytes(&points)).unwrap();
+        };
+        let refused = Landmarks::read(folder.path()).unwrap_err().to_string();
+        assert!(refused.contains("holds no landmarks"), "{refused}");
+        write("a.npy", 5);
+        write("b.npy", 5);
+        let read = Landmarks::read(folder.path()).unwrap();
+        assert_eq!((read.count(), read.of("b").unwrap().dim()), (5, (2, 5, 2)));
+        assert!(read.tree().is_err());
+        let groups = |text: &str| std::fs::write(folder.path().join("groups.json"), text).unwrap();
+        groups(r#"[["jaw", 1], ["lips_inner", 4]]"#);
+        let read = Landmarks::read(folder.path()).unwrap();
+        assert_eq!(read.inner_lips(), Some(1..5));
+        for wrong in [r#"[["jaw", 1], ["lips_inner", 5]]"#, r#"[["jaw", -1]]"#, "{"] {
+            groups(wrong);
+            let refused = chain(&Landmarks::read(folder.path()).unwrap_err());
+            assert!(refused.contains("groups.json cannot be used"), "{refused}");
+        }
+        groups("[]");
+        write("c.npy", 6);
+        let refused = Landmarks::read(folder.path()).unwrap_err().to_string();
+        assert!(refused.contains(".npy: shape"), "{refused}");
+    }
+}
