@@ -88,6 +88,7 @@ macro_rules! any {
     ($($kind:ident: $article:literal),* $(,)?) => {
         /// A checked model of whichever kind, for programs that learn the kind when they run.
         #[derive(Clone, Copy, Debug)]
+        #[allow(clippy::large_enum_variant, reason = "slices into tables, of which a program has one set; there is no heap to put them on")]
         pub enum AnyModel<'a> {
             $(
                 #[doc = concat!($article, " model.")]

@@ -63,7 +63,7 @@ pub fn instructions(model: &RecurrentModel, beam_bits: f64) -> f64 {
     // Half of a step in every frame, and what speaks.
     let second = model.gated.as_ref().map_or(0.0, |gated| {
         let k = of(gated.shape.memory);
-        1.5 * (1.5 * k * (z + k) + k * d) + 60.0 * k
+        2.0 * (1.5 * k * (z + k) + k * d) + 70.0 * k
     });
     second
         + 57_000.0
