@@ -219,7 +219,7 @@ fn words(bytes: &[u8]) -> Result<Vec<String>> {
     let data = &bytes[10 + length..];
     let width = letters
         .checked_mul(4)
-        .filter(|width| data.len() % width == 0)
+        .filter(|width| data.len().is_multiple_of(*width))
         .ok_or_else(refused)?;
     let word = |word: &[u8]| -> Option<String> {
         let codes = word

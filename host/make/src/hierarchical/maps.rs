@@ -188,7 +188,7 @@ mod tests {
         Pairs {
             appearance,
             speech,
-            clips: vec![0..n],
+            clips: std::iter::once(0..n).collect(),
         }
     }
 
@@ -258,7 +258,7 @@ mod tests {
         let train = Pairs {
             appearance: array![[1.0, 0.0], [5.0, 1.0], [9.0, 2.0], [20.0, 3.0]],
             speech: array![[0.0, 7.0], [1.0, 7.0], [2.0, 7.0], [3.0, 7.0]],
-            clips: vec![0..4],
+            clips: std::iter::once(0..4).collect(),
         };
         let search = Search {
             clusters: vec![4],

@@ -201,7 +201,9 @@ pub fn look(
     let chroma: Vec<_> = of_clips.iter().map(|clip| clip.chroma.view()).collect();
     Ok(Looks {
         textures,
-        coloured: (0..total).filter(|row| colours > 0 && row % apart == 0).collect(),
+        coloured: (0..total)
+            .filter(|row| colours > 0 && row.is_multiple_of(apart))
+            .collect(),
         chroma: concatenate(Axis(0), &chroma)?,
     })
 }

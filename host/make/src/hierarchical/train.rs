@@ -5,7 +5,7 @@ use lipstream::kinds::hierarchical::{Appearance, Colours, HierarchicalModel, Nod
 use lipstream::mouth::MouthSpace;
 use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
-use ndarray::{Array2, Axis, concatenate, s};
+use ndarray::{Array1, Array2, Axis, concatenate, s};
 
 use super::appearance::{self, Components, Geometry};
 use super::landmarks::Landmarks;
@@ -160,10 +160,11 @@ pub fn train(
         trials.push((area.name.clone(), tried));
         appearances.push(pairs.appearance);
     }
-    let views: Vec<_> = appearances.iter().map(|c| c.view()).collect();
     let reading = reading(
-        &concatenate(Axis(1), &views)?,
+        &tree,
+        &appearances,
         &pictures::stacked(&train, |clip| &clip.mouths)?,
+        &pictures::ranges(&train),
     )?;
     let colours = Colours {
         appearances: appearances[0].select(Axis(0), &coloured),
@@ -192,16 +193,57 @@ fn provenance(folder: &FeatureFolder, clips: usize, pictures: usize) -> String {
 }
 
 /// The map from appearances of all areas to eigenmouth weights, rows of \[bias; c\], `[1 + C, D]`, by least squares.
-fn reading(appearances: &Array2<f32>, mouths: &Array2<f32>) -> Result<Array2<f32>> {
-    let (inputs, outputs) = (appearances.ncols(), mouths.ncols());
-    let mut sums = MapSums::new(inputs, outputs, 0);
-    sums.add(appearances, mouths, &Array2::zeros((mouths.nrows(), 0)));
-    // Rows of outputs, the bias behind the inputs.
+///
+/// Only areas without parts are read: a part covers what its parent says of its place. Weights carry no mean of their clip; so the map is fitted to what moves within clips,
+/// and the mean appearance of all has the mean weights.
+fn reading(
+    tree: &Tree,
+    appearances: &[Array2<f32>],
+    mouths: &Array2<f32>,
+    clips: &[std::ops::Range<usize>],
+) -> Result<Array2<f32>> {
+    let is_leaf = |index: usize| {
+        let name = &tree.areas[index].name;
+        tree.areas.iter().all(|area| area.parent.as_ref() != Some(name))
+    };
+    let (mut columns, mut begin) = (Vec::new(), 0);
+    for (index, c) in appearances.iter().enumerate() {
+        if is_leaf(index) {
+            columns.extend(begin..begin + c.ncols());
+        }
+        begin += c.ncols();
+    }
+    let views: Vec<_> = appearances.iter().map(|c| c.view()).collect();
+    let read = concatenate(Axis(1), &views)?.select(Axis(1), &columns);
+    let within = |rows: &Array2<f32>| {
+        let mut rows = rows.clone();
+        for clip in clips {
+            let mut of_clip = rows.slice_mut(s![clip.clone(), ..]);
+            if let Some(mean) = of_clip.mean_axis(Axis(0)) {
+                of_clip -= &mean;
+            }
+        }
+        rows
+    };
+    let outputs = mouths.ncols();
+    let mut sums = MapSums::new(columns.len(), outputs, 0);
+    sums.add(
+        &within(&read),
+        &within(mouths),
+        &Array2::zeros((mouths.nrows(), 0)),
+    );
+    // Rows of outputs, the bias behind the inputs; here it is nothing.
     let solved = sums.solve(READING_PENALTY, 1.0)?.global;
-    let mut out = Array2::zeros((1 + inputs, outputs));
-    out.row_mut(0).assign(&solved.column(inputs));
-    out.slice_mut(s![1.., ..])
-        .assign(&solved.slice(s![.., ..inputs]).t());
+    let slopes = solved.slice(s![.., ..columns.len()]).t().to_owned();
+    let mean = |rows: &Array2<f32>| {
+        rows.mean_axis(Axis(0))
+            .unwrap_or_else(|| Array1::zeros(rows.ncols()))
+    };
+    let mut out = Array2::zeros((1 + begin, outputs));
+    out.row_mut(0).assign(&(mean(mouths) - mean(&read).dot(&slopes)));
+    for (slope, column) in slopes.outer_iter().zip(&columns) {
+        out.row_mut(1 + column).assign(&slope);
+    }
     Ok(out)
 }
 
@@ -243,17 +285,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn eigenmouths_are_read_from_appearances() {
-        let appearances = Array2::from_shape_fn((60, 3), |(t, k)| 40.0 * ((t * (k + 2)) as f32).sin());
+    fn eigenmouths_are_read_from_the_mouth_whatever_the_face_does() {
+        let tree = Tree::face_and_mouth([0, 1, 2]).over(4).unwrap();
+        let face = Array2::from_shape_fn((60, 2), |(t, k)| 30.0 * ((t * (k + 3)) as f32).cos());
+        let moves = Array2::from_shape_fn((60, 3), |(t, k)| 40.0 * ((t * (k + 2)) as f32).sin());
         let map = ndarray::array![[2.0f32, 0.0], [0.5, -1.0], [0.0, 3.0]];
-        let mouths = appearances.dot(&map) + &ndarray::array![7.0, -2.0];
-        let found = reading(&appearances, &mouths).unwrap();
-        assert!((&found.slice(s![1.., ..]) - &map).iter().all(|d| d.abs() < 1e-2));
-        // The penalty of 1 against 60 pictures.
-        assert!(
-            (&found.row(0) - &ndarray::array![7.0, -2.0])
-                .iter()
-                .all(|d| d.abs() < 0.2)
-        );
+        let mouths = moves.dot(&map);
+        // The second clip was recorded in another pose, of which the weights know nothing.
+        let mut mouth = moves.clone();
+        mouth.slice_mut(s![30.., ..]).mapv_inplace(|v| v + 25.0);
+        let clips = [0..30, 30..60];
+        let found = reading(&tree, &[face, mouth.clone()], &mouths, &clips).unwrap();
+        assert!(found.slice(s![1..3, ..]).iter().all(|v| *v == 0.0));
+        assert!((&found.slice(s![3.., ..]) - &map).iter().all(|d| d.abs() < 1e-2));
+        // The mean appearance has the mean weights.
+        let at_mean = mouth.mean_axis(Axis(0)).unwrap().dot(&found.slice(s![3.., ..])) + found.row(0);
+        let wanted = mouths.mean_axis(Axis(0)).unwrap();
+        assert!((at_mean - wanted).iter().all(|d| d.abs() < 1e-2));
     }
 }
