@@ -1,10 +1,30 @@
 //! Progress on the terminal: lines, and a bar for work that comes in steps.
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
 use lipstream::progress::Progress;
+
+/// Whether the user wants to hear of nothing but what is wrong.
+static QUIET: AtomicBool = AtomicBool::new(false);
+
+/// From now on [`say`], and what a [`Terminal`] says and shows, is left out; results, warnings and errors are not.
+pub(crate) fn be_quiet(quiet: bool) {
+    QUIET.store(quiet, Ordering::Relaxed);
+}
+
+pub(crate) fn is_quiet() -> bool {
+    QUIET.load(Ordering::Relaxed)
+}
+
+/// A line on standard error about what was done, for people.
+pub(crate) fn say(what: &str) {
+    if !is_quiet() {
+        eprintln!("{what}");
+    }
+}
 
 /// Standard error, with a bar below the lines while steps are counted; the bar is hidden where it is no terminal.
 #[derive(Default)]
@@ -25,6 +45,12 @@ impl Terminal {
 
 impl Progress for Terminal {
     fn say(&self, what: &str) {
+        if !is_quiet() {
+            self.warn(what);
+        }
+    }
+
+    fn warn(&self, what: &str) {
         match self.bar.lock().as_deref() {
             // The bar makes way for the line.
             Ok(Some(bar)) => bar.suspend(|| eprintln!("{what}")),
@@ -34,7 +60,7 @@ impl Progress for Terminal {
 
     fn step(&self, what: &str, done: usize, all: usize) {
         let Ok(mut place) = self.bar.lock() else { return };
-        if done == 0 && !self.hidden {
+        if done == 0 && !self.hidden && !is_quiet() {
             *place = Some(bar(what, all));
         }
         let Some(bar) = place.as_ref() else { return };

@@ -120,9 +120,14 @@ fn a_rhubarb_user_changes_one_word() {
         "Seven green bottles were standing there",
     )
     .unwrap();
-    let (other, warned) = run(&["cues", "-q", "-d", "other.txt", "my-recording.wav"]);
+    let (other, warned) = run(&["cues", "-d", "other.txt", "my-recording.wav"]);
     assert!(warned.contains("other.txt do not fit what is heard"), "{warned}");
     assert_eq!(other, tsv);
+    // As there, --quiet speaks of errors alone, unless another level is asked for.
+    let quiet = ["cues", "-q", "-d", "other.txt", "my-recording.wav"];
+    assert_eq!(run(&quiet), (tsv.clone(), String::new()));
+    let (_, warned) = run(&[&quiet[..], &["--consoleLevel", "warning"]].concat());
+    assert!(warned.contains("do not fit"), "{warned}");
     assert!(!said.is_empty());
 
     // For programs: a JSON object a line.
@@ -447,4 +452,112 @@ fn wrong_texts_are_noticed() {
         common::program::text(&alone.stderr),
         "aligned 1 clips into x.json\n"
     );
+}
+
+/// Neither by its own name nor through a link: what was recorded is not written over.
+#[test]
+fn a_recording_is_not_written_over() {
+    let folder = common::folder("cues-onto-itself");
+    let sound = folder.join("a.wav");
+    std::fs::copy(hello(), &sound).unwrap();
+    #[cfg(unix)]
+    std::os::unix::fs::symlink("a.wav", folder.join("link.tsv")).unwrap();
+    #[cfg(not(unix))]
+    std::fs::hard_link(&sound, folder.join("link.tsv")).unwrap();
+    let before = std::fs::read(&sound).unwrap();
+    for words in [
+        &["convert", "a.wav", "-o", "./a.wav", "--format", "csv"][..],
+        &["features", "a.wav", "-o", "a.wav", "--format", "npy"],
+        #[cfg(unix)]
+        &["cues", "a.wav", "-o", "link.tsv"],
+    ] {
+        let error = refuse(&folder, words);
+        assert!(error.contains("writing onto it would lose it"), "{error}");
+        assert_eq!(std::fs::read(&sound).unwrap(), before, "{words:?}");
+    }
+    std::fs::create_dir(folder.join("d.tsv")).unwrap();
+    let error = refuse(&folder, &["cues", "a.wav", "-o", "d.tsv"]);
+    assert!(error.contains("d.tsv: there is a folder of this name"), "{error}");
+}
+
+/// A numbers file says how far the mouth is open in every frame, by the mouth that is drawn.
+#[test]
+fn conversions_say_how_far_the_mouth_is_open() {
+    let folder = common::folder("convert-open");
+    let csv = succeed(&folder, &["convert", &hello(), "-o", "-", "--format", "csv"]);
+    let last = |line: &str| line.rsplit(',').next().unwrap().to_owned();
+    let mut lines = csv.lines();
+    assert_eq!(last(lines.next().unwrap()), "open");
+    let open: Vec<f64> = lines.map(|line| last(line).parse().unwrap()).collect();
+    let json = succeed(&folder, &["convert", &hello(), "-o", "-", "--format", "json"]);
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    let of_json: Vec<f64> = json["open"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|v| v.as_f64().unwrap())
+        .collect();
+    assert_eq!(of_json.len(), open.len());
+    assert!(of_json.iter().zip(&open).all(|(a, b)| (a - b).abs() < 1e-6));
+    assert!(open.iter().any(|o| *o > 0.6) && open.iter().all(|o| (0.0..=1.0).contains(o)));
+    // The same as beside the weights of a rig.
+    let rig = succeed(&folder, &["cues", &hello(), "--set", "arkit"]);
+    let of_rig: Vec<f64> = rig
+        .lines()
+        .skip(1)
+        .map(|line| last(line).parse().unwrap())
+        .collect();
+    assert!(of_rig.iter().zip(&open).all(|(a, b)| (a - b).abs() < 1e-3) && of_rig.len() == open.len());
+}
+
+/// Whoever kills the program leaves no ffmpeg behind: one that decodes finds nobody who reads, one that encodes nobody who writes.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_killed_program_leaves_no_ffmpeg() {
+    use std::io::Write as _;
+    use std::time::{Duration, Instant};
+    let folder = common::folder("cues-killed");
+    // The encoder is begun before the first picture, and would wait for the last.
+    let mut running = Command::new(program())
+        .current_dir(&folder)
+        .args(["render", "-", "-o", "film.webm"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let children = |pid: u32| {
+        let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+        let of_task = |task: std::io::Result<std::fs::DirEntry>| {
+            std::fs::read_to_string(task.unwrap().path().join("children")).unwrap_or_default()
+        };
+        let all: String = tasks.map(of_task).collect();
+        all.split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let mut stdin = running.stdin.take().unwrap();
+    stdin.write_all(&std::fs::read(hello()).unwrap()).unwrap();
+    drop(stdin);
+    let begun = Instant::now();
+    let found = loop {
+        let found = children(running.id());
+        if !found.is_empty() {
+            break found;
+        }
+        let ended = running.try_wait().unwrap();
+        assert!(ended.is_none(), "it ended without an ffmpeg: {ended:?}");
+        assert!(begun.elapsed() < Duration::from_secs(120), "no ffmpeg was begun");
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    running.kill().unwrap();
+    running.wait().unwrap();
+    // One that has ended and that nobody has waited for is a zombie: it works no more.
+    let works = |pid: &String| {
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
+        stat.contains("(ffmpeg)") && !stat.contains("(ffmpeg) Z")
+    };
+    let killed = Instant::now();
+    while found.iter().any(works) {
+        assert!(killed.elapsed() < Duration::from_secs(30), "{found:?} goes on");
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }

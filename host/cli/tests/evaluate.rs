@@ -506,4 +506,21 @@ fn a_model_of_other_eigenmouths_is_refused() {
         assert_eq!(refused, !is_own, "{said}");
         assert_eq!(said.contains("0.00 of 1)"), !is_own, "{said}");
     }
+    // Nor does it take fine detail from that folder's mouths.
+    let parameters = folder.visual_path("clip00");
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_lipstream"))
+        .args(["render", "--scale", "1", "-m"])
+        .arg(root.path().join("other.safetensors"))
+        .arg("--detail-from")
+        .arg(root.path())
+        .arg("-o")
+        .arg(root.path().join("film.mp4"))
+        .arg(parameters)
+        .output()
+        .unwrap();
+    let said = common::program::one_line(output);
+    assert!(
+        said.contains("the model's eigenmouths are not those of"),
+        "{said}"
+    );
 }

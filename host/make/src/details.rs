@@ -11,8 +11,10 @@ use crate::features::{self, Clip, FeatureFolder, Split};
 ///
 /// # Errors
 ///
-/// [`Error::Data`]: the folder has no mouth images, or they are of another size than the eigenmouths; and files that cannot be read.
+/// [`Error::Data`]: the folder has no mouth images, or they are of another size than the eigenmouths; [`Error::Choice`]: its eigenmouths are others
+/// ([`FeatureFolder::has_mouth`]); and files that cannot be read.
 pub fn candidates(folder: &FeatureFolder, space: &MouthSpace, progress: &dyn Progress) -> Result<Candidates> {
+    folder.has_mouth(space)?;
     let clips = clips(folder)?;
     let steps = Steps::begin(progress, "mouths", 2 * clips.len());
     let mut all = Vec::with_capacity(clips.len());

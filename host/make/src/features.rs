@@ -270,8 +270,8 @@ impl FeatureFolder {
         ensure!(
             is_same,
             Choice,
-            "the model's eigenmouths are not those of {} (likeness {likeness:.2} of 1): its parameters mean another mouth's; train it on this folder, or evaluate it on the one that it \
-             was trained on",
+            "the model's eigenmouths are not those of {} (likeness {likeness:.2} of 1): its parameters mean another mouth's; train it on this folder, or name the folder that it was \
+             trained on",
             self.root.display()
         );
         Ok(())

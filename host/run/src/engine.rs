@@ -12,7 +12,7 @@ use lipstream_core::settings::Setting;
 use lipstream_core::wire::Profile;
 use lipstream_core::{AnyModel as Tables, AnyStream, ParameterFrame, StreamSettings};
 use lipstream_media::files;
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, ArrayView1, Axis};
 
 use crate::error::{Context as _, Error, Result, bail};
 use crate::export::{ExportError, ExportSettings, MgeSettings, export, export_mge};
@@ -25,6 +25,7 @@ use crate::kinds::likelihood::live::Live as LocalLinear;
 use crate::kinds::likelihood::{EmSettings, Model, NotFinite};
 use crate::kinds::recurrent::live::Live;
 use crate::kinds::recurrent::model::RecurrentModel;
+use crate::opening::OpeningReader;
 use crate::phones::VISEMES;
 use crate::reference::Normalisation;
 use crate::reference::observer::Observer;
@@ -190,6 +191,14 @@ pub struct Converted {
     pub parameters: Array2<f32>,
     /// Occupancy of each viseme, `[frames, 13]`.
     pub visemes: Array2<f32>,
+}
+
+impl Converted {
+    /// The lip gap of every frame, as `reader` reads it.
+    pub fn gaps(&self, reader: &OpeningReader) -> Vec<f32> {
+        let gap = |row: ArrayView1<f32>| reader.read(&row.to_vec()).gap;
+        self.parameters.outer_iter().map(gap).collect()
+    }
 }
 
 impl Engine {

@@ -6,6 +6,11 @@ pub trait Progress: Sync {
     /// Something that the user is to hear now, in whole lines: what begins, what came of a pass, a clip that cannot be read.
     fn say(&self, what: &str);
 
+    /// What is not as it should be, though the work goes on: heard by those too who want to hear nothing else.
+    fn warn(&self, what: &str) {
+        self.say(what);
+    }
+
     /// `done` of the `all` steps of `what` are made. The first call for a `what` is with 0, the last with `all`; in between
     /// `done` never falls. See [`Steps`], which counts.
     fn step(&self, what: &str, done: usize, all: usize);

@@ -242,7 +242,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     }
     if let Some(out) = args.output.as_ref().filter(|out| !is_standard(out)) {
         let found = if args.recognise { "recognised" } else { "aligned" };
-        eprintln!("{found} {} clips into {}", all - failed, out.display());
+        crate::progress::say(&format!("{found} {} clips into {}", all - failed, out.display()));
     }
     if failed > 0 {
         bail!("{failed} of {} clips could not be aligned", all);

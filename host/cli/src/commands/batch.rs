@@ -125,7 +125,10 @@ fn matches(pattern: &Path) -> Result<Vec<PathBuf>> {
 /// The sounds in a folder and those in it, told by their first bytes; not those in `without`, and none whose name begins with a dot.
 fn sounds(folder: &Path, without: &Path, depth: usize, out: &mut Vec<PathBuf>) -> Result<()> {
     if depth > DEEPEST {
-        bail!("{}: folders are nested too deep", folder.display());
+        bail!(
+            "{}: folders are nested too deep; does a link lead back to a folder above it? Name the folders without it",
+            folder.display()
+        );
     }
     let unread = || format!("cannot read the folder {}", folder.display());
     for entry in std::fs::read_dir(folder).with_context(unread)? {

@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail};
 use lipstream::engine::{Engine, RunSettings};
+use lipstream::opening::OpeningReader;
 use lipstream::out::Format;
 use lipstream::progress::Progress as _;
 use lipstream::session::Frame;
@@ -12,7 +13,8 @@ use lipstream_live::recording::{Played, Recording};
 
 use super::batch::{self, Work};
 use super::choices;
-use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
+use super::cues::opening;
+use super::streams::{ending, hear, is_standard, keep_apart, name, open_sound, say, write};
 
 use crate::progress::Terminal;
 
@@ -57,9 +59,6 @@ pub(crate) struct Args {
     /// Sounds that are worked on at once [default: as many as there are processors]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
-    /// Say nothing unless something is wrong
-    #[arg(short, long)]
-    quiet: bool,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -67,6 +66,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let is_format = |ending: &str| Format::of_ending(ending).is_some();
     match batch::plan(&args.inputs, &args.output, of_many.ending(), is_format)? {
         Work::One(sound) => {
+            let read = args.model.iter().chain([&sound]);
+            keep_apart(&args.output, read.map(PathBuf::as_path))?;
             let format = match &args.format {
                 Some(format) => (*format).into(),
                 None if is_standard(&args.output) => Format::Csv,
@@ -77,27 +78,31 @@ pub(crate) fn run(args: Args) -> Result<()> {
             };
             let what = match ending(&sound) == "stream" {
                 true => of_stream(&args, &sound, format)?,
-                false => of_sound(&args, &engine(&args)?, &sound, &args.output, format)?,
+                false => {
+                    let engine = engine(&args)?;
+                    let opening = needed_opening(&args, &engine, format)?;
+                    of_sound(&args, (&engine, opening), &sound, &args.output, format)?
+                }
             };
-            if !args.quiet {
-                say(&args.output, &what);
-            }
+            say(&args.output, &what);
         }
         Work::Many(jobs) => {
             let engine = engine(&args)?;
-            let progress = Terminal::shown(!args.quiet);
-            let complain = |why: &str| progress.say(&format!("lipstream: {why}"));
+            let opening = needed_opening(&args, &engine, of_many)?;
+            let progress = Terminal::default();
+            let complain = |why: &str| progress.warn(&format!("lipstream: {why}"));
             batch::work(
                 &jobs,
                 args.threads.map(usize::from),
                 &progress,
                 |_| {},
                 complain,
-                |job| of_sound(&args, &engine, &job.input, &job.output, of_many).map(drop),
+                |job| {
+                    let with = (&engine, opening.clone());
+                    of_sound(&args, with, &job.input, &job.output, of_many).map(drop)
+                },
             )?;
-            if !args.quiet {
-                println!("{}: {} files", args.output.display(), jobs.len());
-            }
+            say(&args.output, &format!("{} files", jobs.len()));
         }
     }
     Ok(())
@@ -112,8 +117,22 @@ fn engine(args: &Args) -> Result<Engine> {
     )?)
 }
 
+/// What reads how far the mouth is open, where the format has that.
+fn needed_opening(args: &Args, engine: &Engine, format: Format) -> Result<Option<OpeningReader>> {
+    match format {
+        Format::Npy => Ok(None),
+        Format::Csv | Format::Json => opening(args.model.as_deref(), engine),
+    }
+}
+
 /// Writes the numbers of one sound; gives what is to be said of them.
-fn of_sound(args: &Args, engine: &Engine, sound: &Path, output: &Path, format: Format) -> Result<String> {
+fn of_sound(
+    args: &Args,
+    (engine, opening): (&Engine, Option<OpeningReader>),
+    sound: &Path,
+    output: &Path,
+    format: Format,
+) -> Result<String> {
     let mut heard = open_sound(sound)?;
     let with = RunSettings {
         lag: args.lag,
@@ -140,7 +159,7 @@ fn of_sound(args: &Args, engine: &Engine, sound: &Path, output: &Path, format: F
     }
     let mut count = 0;
     write(output, |file| {
-        let mut numbers = format.write(file, engine.n_parameters())?;
+        let mut numbers = format.write(file, engine.n_parameters(), opening)?;
         count = hear(session, &samples, &mut heard, |frame| Ok(numbers.frame(frame)?))?;
         Ok(numbers.finish()?)
     })?;
@@ -170,8 +189,13 @@ fn of_stream(args: &Args, stream: &Path, format: Format) -> Result<String> {
     let mut recording = Recording::open(stream)?;
     let width = recording.hello().scales.len();
     let mut played = Played::default();
+    // A recording names its model; the shipped one's mouth can be measured.
+    let opening = match Some(recording.hello().model) == Engine::shipped().model_id() {
+        true => OpeningReader::shipped()?,
+        false => None,
+    };
     write(&args.output, |file| {
-        let mut numbers = format.write(file, width)?;
+        let mut numbers = format.write(file, width, opening)?;
         let mut index = 0;
         played = recording.play(|parameters, visemes| {
             numbers.frame(&Frame {

@@ -8,14 +8,14 @@ use lipstream::opening::OpeningReader;
 use lipstream::progress::Progress as _;
 use lipstream::session::Frame;
 use lipstream::time;
+use lipstream_make::align::dialog::Dialog;
 use serde_json::json;
 
 use super::batch::{self, Work};
 use super::choices;
 use super::cues_events::{Events, Level};
-use super::dialog::Dialog;
-use super::streams::{ending, hear_telling, is_standard, name, open_sound, say, write};
-use crate::progress::Terminal;
+use super::streams::{ending, hear_telling, is_standard, keep_apart, name, open_sound, say, write};
+use crate::progress::{Terminal, is_quiet};
 
 /// Write mouth shapes over time for animation programs
 ///
@@ -51,15 +51,18 @@ pub(crate) struct Args {
     /// Preston Blair's names of the shapes in a .dat, as OpenToonz wants them
     #[arg(long = "datUsePrestonBlair", visible_alias = "dat-use-preston-blair")]
     dat_use_preston_blair: bool,
-    /// Say nothing unless something is wrong
-    #[arg(short, long)]
-    quiet: bool,
     /// What is going on, on standard error, a JSON object a line
     #[arg(long = "machineReadable", visible_alias = "machine-readable")]
     machine_readable: bool,
-    /// The least that is said on standard error
-    #[arg(long = "consoleLevel", visible_alias = "console-level", ignore_case = true, value_enum, value_name = "LEVEL", default_value_t = Level::Warning)]
-    console_level: Level,
+    /// The least that is said on standard error [default: warning, with --quiet error]
+    #[arg(
+        long = "consoleLevel",
+        visible_alias = "console-level",
+        ignore_case = true,
+        value_enum,
+        value_name = "LEVEL"
+    )]
+    console_level: Option<Level>,
     /// A file for what is going on
     #[arg(long = "logFile", visible_alias = "log-file", value_name = "FILE")]
     log_file: Option<PathBuf>,
@@ -122,13 +125,17 @@ struct Task<'a> {
 
 /// What a file holds.
 enum What {
-    Cues(Format, Style),
+    Cues(Format, Style, Option<OpeningReader>),
     Weights(Table, BlendSet, Option<OpeningReader>),
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let log = args.log_file.as_deref();
-    let events = Events::new(args.machine_readable, args.console_level, log, args.log_level)?;
+    let console = args.console_level.unwrap_or(match is_quiet() {
+        true => Level::Error,
+        false => Level::Warning,
+    });
+    let events = Events::new(args.machine_readable, console, log, args.log_level)?;
     let files: Vec<String> = args.inputs.iter().map(|input| name(input)).collect();
     let files = files.join(", ");
     events.event(
@@ -171,11 +178,13 @@ fn work(args: &Args, events: &Events) -> Result<()> {
     let ending = format_of(args, true);
     match batch::plan(&args.inputs, &args.output, &ending, is_format)? {
         Work::One(sound) => {
+            let read = [&args.model, &args.dialog].into_iter().flatten().chain([&sound]);
+            keep_apart(&args.output, read.map(PathBuf::as_path))?;
             let task = Task::new(args, &format_of(args, false))?;
             events.progress(0.0);
             let what = task.make(&sound, &args.output, events, |part| events.progress(part))?;
             events.progress(1.0);
-            if !args.quiet && !args.machine_readable {
+            if !args.machine_readable {
                 say(&args.output, &what);
             }
         }
@@ -184,15 +193,14 @@ fn work(args: &Args, events: &Events) -> Result<()> {
         }
         Work::Many(jobs) => {
             let task = Task::new(args, &ending)?;
-            let quiet = args.quiet || args.machine_readable;
-            let progress = Terminal::shown(!quiet);
+            let progress = Terminal::shown(!args.machine_readable);
             let part = |done: usize| events.progress(done as f64 / jobs.len() as f64);
             part(0);
             let complain = |why: &str| match args.machine_readable {
                 true => events.say(Level::Error, why),
                 false => {
                     events.log(Level::Error, why);
-                    progress.say(&format!("lipstream: {why}"));
+                    progress.warn(&format!("lipstream: {why}"));
                 }
             };
             batch::work(
@@ -207,8 +215,8 @@ fn work(args: &Args, events: &Events) -> Result<()> {
                     Ok(())
                 },
             )?;
-            if !quiet {
-                println!("{}: {} files", args.output.display(), jobs.len());
+            if !args.machine_readable {
+                say(&args.output, &format!("{} files", jobs.len()));
             }
         }
     }
@@ -231,12 +239,13 @@ impl<'a> Task<'a> {
             bail!("--set and --rate are for weights: write .csv, or .json with --set");
         }
         let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
+        let opening = opening(args.model.as_deref(), &engine)?;
         let what = match (table, format) {
             (Some(table), _) => {
                 let set = args.set.map_or(BlendSet::Oculus, Into::into);
-                What::Weights(table, set, opening(args.model.as_deref(), &engine)?)
+                What::Weights(table, set, opening)
             }
-            (None, Some(format)) => What::Cues(format, style(args)),
+            (None, Some(format)) => What::Cues(format, style(args), opening),
             (None, None) => bail!(
                 "{}: write .tsv, .xml, .json, .dat, .vtt or .csv",
                 args.output.display()
@@ -254,8 +263,8 @@ impl<'a> Task<'a> {
     /// Writes the file of one sound; gives what is to be said of it.
     fn make(&self, sound: &Path, output: &Path, events: &Events, part: impl FnMut(f64)) -> Result<String> {
         match &self.what {
-            What::Cues(format, style) => {
-                let (said, seconds) = self.shapes(sound, events, part)?;
+            What::Cues(format, style, opening) => {
+                let (said, seconds) = self.shapes(sound, opening.as_ref(), events, part)?;
                 let said = cues::drawn_with(&said, &self.args.extended.0);
                 let file = match is_standard(sound) {
                     true => name(sound),
@@ -269,7 +278,7 @@ impl<'a> Task<'a> {
                 let (mut rows, mut seconds) = (0, 0.0);
                 write(output, |file| {
                     let mut numbers = table.write(file, *set, opening.clone(), self.args.rate)?;
-                    let samples = self.frames(sound, events, part, |frame| {
+                    let samples = self.frames(sound, events, part, |frame, _| {
                         rows += 1;
                         Ok(numbers.frame(frame)?)
                     })?;
@@ -288,27 +297,39 @@ impl<'a> Task<'a> {
     }
 
     /// The mouth shapes of a sound, and how long it is.
-    fn shapes(&self, sound: &Path, events: &Events, part: impl FnMut(f64)) -> Result<(Vec<Cue>, f64)> {
+    fn shapes(
+        &self,
+        sound: &Path,
+        opening: Option<&OpeningReader>,
+        events: &Events,
+        part: impl FnMut(f64),
+    ) -> Result<(Vec<Cue>, f64)> {
         let mut shapes = Shapes::default();
-        let samples = self.frames(sound, events, part, |frame| Ok(shapes.push(frame.visemes)?))?;
+        let samples = self.frames(sound, events, part, |frame, is_told| {
+            // Aligned words say when lips close; the mouth that goes with what was heard does not know them.
+            let gap = opening.filter(|_| !is_told);
+            let gap = gap.map(|reader| reader.read(frame.parameters).gap);
+            Ok(shapes.push(frame.visemes, gap)?)
+        })?;
         let seconds = time::seconds(samples);
         let said = shapes.finish(seconds);
         let said = said.with_context(|| format!("{} gives no cues", name(sound)))?;
         Ok((said, seconds))
     }
 
-    /// Calls `each` with every frame of a sound, whose visemes are those of the text where one is given and fits; gives the number of samples.
+    /// Calls `each` with every frame of a sound and whether its visemes are those of the text, which they are where one is given and fits; gives the number of
+    /// samples.
     fn frames(
         &self,
         sound: &Path,
         events: &Events,
         part: impl FnMut(f64),
-        mut each: impl FnMut(&Frame) -> Result<()>,
+        mut each: impl FnMut(&Frame, bool) -> Result<()>,
     ) -> Result<usize> {
         let mut heard = open_sound(sound)?;
         let Some(dialog) = &self.dialog else {
             let session = self.engine.session(&RunSettings::default())?;
-            return hear_telling(session, &[], &mut heard, part, each);
+            return hear_telling(session, &[], &mut heard, part, |frame| each(frame, false));
         };
         let samples = heard.rest()?.samples;
         let converted = self.engine.convert(&samples, &RunSettings::default())?;
@@ -326,11 +347,12 @@ impl<'a> Task<'a> {
             .enumerate()
         {
             let said = said.as_ref().and_then(|said| said.get(index));
-            each(&Frame {
+            let frame = Frame {
                 index,
                 parameters: &parameters.to_vec(),
                 visemes: &said.map_or_else(|| visemes.to_vec(), |row| row.to_vec()),
-            })?;
+            };
+            each(&frame, said.is_some())?;
         }
         Ok(samples.len())
     }

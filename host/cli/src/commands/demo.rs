@@ -5,10 +5,11 @@ use anyhow::{Context as _, Result, bail};
 use lipstream_core::SAMPLE_RATE_HZ;
 
 use super::streams::file_name as name;
-use crate::progress::Terminal;
+use crate::progress::{Terminal, is_quiet};
 use lipstream::cues::{self, Format};
 use lipstream::engine::{Converted, Engine, Kind, RunSettings};
 use lipstream::mouth::MouthSpace;
+use lipstream::opening::OpeningReader;
 use lipstream::render::{self, Settings, page};
 use lipstream::shipped::SOUND;
 use lipstream::tensors::Tensors;
@@ -75,7 +76,8 @@ fn write(
         .to_string_lossy();
     let file = |ending: &str| folder.join(format!("{stem}.{ending}"));
     let seconds = sound.len() as f64 / f64::from(SAMPLE_RATE_HZ);
-    let cues = cues::cues(converted.visemes.view(), seconds)
+    let gaps = OpeningReader::of(space).map(|reader| converted.gaps(&reader));
+    let cues = cues::cues(converted.visemes.view(), gaps.as_deref(), seconds)
         .with_context(|| format!("{wav_name} gives no mouth"))?;
     let settings = Settings::default();
     let tracks = converted.parameters.view();
@@ -99,6 +101,9 @@ fn write(
         let path = file(format.ending());
         files::write_bytes(&path, cues::write(format, &cues, wav_name).as_bytes())?;
         cue_files.push(path.display().to_string());
+    }
+    if is_quiet() {
+        return Ok(());
     }
     println!(
         "video  {}  ({:.1} s, {}×{}, with sound)",

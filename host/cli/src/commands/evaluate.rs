@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 
 use super::{choices, evaluate_held_out, evaluate_mouth};
-use crate::progress::Terminal;
+use crate::progress::{Terminal, say};
 use lipstream::hmm::system::{Speech, System};
 use lipstream::kinds::hierarchical::HierarchicalModel;
 use lipstream::kinds::likelihood::Model;
@@ -197,7 +197,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
             },
         };
         for path in destination.write(&heading, &report)? {
-            eprintln!("written: {}", path.display());
+            say(&format!("written: {}", path.display()));
         }
     }
     Ok(())

@@ -10,7 +10,7 @@ use lipstream_media::files;
 use serde::Serialize;
 
 use super::check::videos_of;
-use crate::progress::Terminal;
+use crate::progress::{Terminal, say};
 
 /// What is measured, and where the report goes.
 pub(super) struct Asked<'a> {
@@ -97,7 +97,7 @@ pub(super) fn print_and_write(
             Ending::Markdown => markdown,
         };
         files::write_bytes(output, text.as_bytes())?;
-        eprintln!("written: {}", output.display());
+        say(&format!("written: {}", output.display()));
     }
     Ok(())
 }

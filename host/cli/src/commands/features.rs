@@ -11,7 +11,7 @@ use lipstream::{frontend, htk};
 use lipstream_make::evaluate::exchange;
 use lipstream_make::features::FeatureFolder;
 
-use super::streams::{ending, is_standard, name, read_sound, say, write};
+use super::streams::{ending, is_standard, keep_apart, name, read_sound, say, write};
 
 /// Write audio observations (MFCC_E_D_A) of a sound, or the features of a whole folder as .npy
 #[derive(Debug, clap::Args)]
@@ -78,6 +78,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
         (Norm::Causal, None) => bail!("--norm causal needs --start DIR"),
     };
+    keep_apart(&args.output, [args.sound.as_path()])?;
     let samples = read_sound(&args.sound)?;
     if samples.len() < FRAME_SAMPLES {
         bail!(
@@ -113,7 +114,7 @@ fn export(args: &Args) -> Result<()> {
     }
     let folder = FeatureFolder::open(&args.sound)?;
     let clips = exchange::export(&folder, &args.output)?;
-    println!("{}: {clips} clips", args.output.display());
+    say(&args.output, &format!("{clips} clips"));
     Ok(())
 }
 

@@ -4,6 +4,8 @@ use std::ffi::OsString;
 use anyhow::{Context as _, Result};
 use clap::{CommandFactory as _, Parser, Subcommand};
 
+use crate::progress;
+
 mod advice;
 mod align;
 mod batch;
@@ -13,7 +15,6 @@ mod convert;
 mod cues;
 mod cues_events;
 mod demo;
-mod dialog;
 mod evaluate;
 mod evaluate_held_out;
 mod evaluate_mouth;
@@ -40,6 +41,9 @@ mod view;
 #[derive(Debug, Parser)]
 #[command(name = "lipstream", version, long_version = lipstream::shipped::VERSION, about)]
 struct Cli {
+    /// Say nothing but results and what is wrong
+    #[arg(short, long, global = true)]
+    quiet: bool,
     #[command(subcommand)]
     command: Command,
 }
@@ -69,7 +73,8 @@ enum Command {
 
 /// Parses the arguments (the first is the program's name) and runs the command.
 pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
-    let command = Cli::parse_from(args).command;
+    let Cli { quiet, command } = Cli::parse_from(args);
+    progress::be_quiet(quiet);
     // These end in their own way when somebody presses Ctrl-C: what they have recorded stays, and servos go back to rest.
     let own_end = match &command {
         Command::Record(_) | Command::View(_) => true,

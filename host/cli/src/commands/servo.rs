@@ -368,7 +368,9 @@ fn read_csv(path: &Path, follow: &mut Follow) -> Result<()> {
         .zip(1..)
         .take_while(|(name, d)| **name == format!("p{d}"))
         .count();
-    if header[0] != "time_s" || n == 0 || header[n + 1..] != lipstream::phones::VISEMES {
+    // What `convert` wrote before it said how far the mouth is open lacks the last column.
+    let behind = header[n + 1..].strip_prefix(&lipstream::phones::VISEMES[..]);
+    if header[0] != "time_s" || n == 0 || !matches!(behind, Some([] | ["open"])) {
         bail!(
             "{} has not the columns that `lipstream convert` writes: time_s, p1 … , visemes",
             path.display()
@@ -376,23 +378,27 @@ fn read_csv(path: &Path, follow: &mut Follow) -> Result<()> {
     }
     for (line, row) in (2..).zip(lines) {
         let place = || format!("{}, line {line}", path.display());
-        let numbers: Vec<f32> = row
-            .split(',')
+        let words: Vec<&str> = row.split(',').collect();
+        if ![header.len(), n + 1].contains(&words.len()) {
+            bail!(
+                "{}: {} numbers, the header has {}",
+                place(),
+                words.len(),
+                header.len()
+            );
+        }
+        // A recording without visemes leaves their cells empty, or leaves them out.
+        let visemes = words[n + 1..].iter().take(lipstream::phones::VISEMES.len());
+        let has_visemes = visemes.clone().any(|word| !word.is_empty());
+        let numbers: Vec<f32> = words[..=n]
+            .iter()
+            .chain(visemes.filter(|_| has_visemes))
             .map(|word| match word.parse::<f32>() {
                 Ok(number) if number.is_finite() => Ok(number),
                 _ => bail!("{word:?} is no number"),
             })
             .collect::<Result<_>>()
             .with_context(place)?;
-        // Models without visemes leave their columns out of the rows.
-        if ![header.len(), n + 1].contains(&numbers.len()) {
-            bail!(
-                "{}: {} numbers, the header has {}",
-                place(),
-                numbers.len(),
-                header.len()
-            );
-        }
         follow
             .frame(&numbers[1..=n], &numbers[n + 1..])
             .with_context(place)?;

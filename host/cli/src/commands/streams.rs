@@ -2,10 +2,12 @@
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use lipstream::session::{Frame, Session};
 use lipstream_media::files;
 use lipstream_media::sound::Reader;
+
+use crate::progress::is_quiet;
 
 /// Whether a name stands for standard input or output.
 pub(crate) fn is_standard(path: &Path) -> bool {
@@ -72,6 +74,9 @@ pub(crate) fn hear_telling(
 
 /// Writes a file, whole or not at all, or standard output as it comes.
 pub(crate) fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()>) -> Result<()> {
+    if path.is_dir() {
+        bail!("cannot write {}: there is a folder of this name", path.display());
+    }
     if !is_standard(path) {
         return Ok(files::write_whole(path, write)?);
     }
@@ -88,9 +93,27 @@ pub(crate) fn write(path: &Path, write: impl FnOnce(&mut dyn Write) -> Result<()
     })
 }
 
-/// Says what was written; on standard error where the numbers went to standard output.
+/// Refuses to write onto a file that is read: a recording would be gone.
+pub(crate) fn keep_apart<'p>(output: &Path, inputs: impl IntoIterator<Item = &'p Path>) -> Result<()> {
+    // Only what is replaced can be lost: devices and pipes stay what they are.
+    let Some(written) = output.canonicalize().ok().filter(|path| path.is_file()) else {
+        return Ok(());
+    };
+    let lost = |input: &&Path| input.canonicalize().is_ok_and(|read| read == written);
+    match inputs.into_iter().find(lost) {
+        Some(input) => bail!(
+            "{} is read from, and writing onto it would lose it: name another output than {}",
+            input.display(),
+            output.display()
+        ),
+        None => Ok(()),
+    }
+}
+
+/// Says what was written; on standard error where the numbers went to standard output, and not at all with --quiet.
 pub(crate) fn say(output: &Path, what: &str) {
     match is_standard(output) {
+        _ if is_quiet() => {}
         true => eprintln!("{what}"),
         false => println!("{}: {what}", output.display()),
     }

@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result, bail};
 use super::train_hierarchical;
 use super::train_mge;
 use super::train_shards::{self, Shards};
-use crate::progress::Terminal;
+use crate::progress::{Terminal, say};
 use lipstream::engine::FloatModel;
 use lipstream::hmm::system::{SYSTEMS, System};
 use lipstream::kinds::hierarchical;
@@ -228,11 +228,11 @@ fn whole(args: Args) -> Result<()> {
 }
 
 fn wrote(output: &Path, begun: Instant) {
-    eprintln!(
+    say(&format!(
         "wrote {} after {:.0} s",
         output.display(),
         begun.elapsed().as_secs_f32()
-    );
+    ));
 }
 
 fn hierarchical(args: &Args, folder: &FeatureFolder, output: &Path) -> Result<()> {
@@ -260,6 +260,6 @@ fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> 
         without: args.without.clone(),
     };
     align::train::train(folder, &settings, output.parent(), &Terminal::default())?.write(output)?;
-    eprintln!("wrote {}", output.display());
+    say(&format!("wrote {}", output.display()));
     Ok(())
 }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, Result, bail};
 
 use super::train::system;
-use crate::progress::Terminal;
+use crate::progress::{Terminal, say};
 use lipstream::hmm::system::System;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train::TrainSettings;
@@ -95,18 +95,18 @@ pub(crate) fn run(command: Shards) -> Result<()> {
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>, _>>()?;
             shards::start(&folder, &others, args.system, &progress)?.write(&args.output)?;
-            eprintln!("wrote {}", args.output.display());
+            say(&format!("wrote {}", args.output.display()));
         }
         Shards::Accumulate(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
             let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &progress)?;
-            eprintln!(
+            say(&format!(
                 "wrote {}: {} frames, log likelihood {:.4} a frame, {} clips without a path",
                 args.output.display(),
                 sums.frames,
                 sums.per_frame(),
                 sums.failed.len()
-            );
+            ));
         }
         Shards::Merge(args) => {
             let split = args.split.then_some(Splitting {
@@ -115,13 +115,13 @@ pub(crate) fn run(command: Shards) -> Result<()> {
             });
             let (state, sums) = shards::merge(&args.model, &args.sums, split)?;
             state.write(&args.output)?;
-            eprintln!(
+            say(&format!(
                 "pass {}: log likelihood {:.4} a frame over {} frames; wrote {}",
                 state.passes,
                 sums.per_frame(),
                 sums.frames,
                 args.output.display()
-            );
+            ));
         }
     }
     Ok(())

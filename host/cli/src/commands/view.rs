@@ -100,7 +100,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     desk.record(false);
     if let Some(tape) = tape {
         let frames = tape.end()?;
-        eprintln!("{frames} frames recorded");
+        crate::progress::say(&format!("{frames} frames recorded"));
     }
     Ok(())
 }

@@ -20,6 +20,7 @@ use lipstream::phones::Phone;
 use lipstream::reference::{self, Normalisation};
 
 pub mod audio_hmm;
+pub mod dialog;
 pub mod fit;
 pub mod judge;
 pub mod recognise;

@@ -174,7 +174,7 @@ impl<'a> Sounds<'a> {
                     sounds.heard.push(audio.into_raw_vec_and_offset().0)?;
                     sounds.clips.push(clip);
                 }
-                Err(error) => progress.say(&format!("left out: {}", chain(&error))),
+                Err(error) => progress.warn(&format!("left out: {}", chain(&error))),
             }
             Ok(())
         })?;

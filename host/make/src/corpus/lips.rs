@@ -40,7 +40,7 @@ pub(super) fn see(
             }
             Err(why) => {
                 let path = clip.source.sound_path().display().to_string();
-                progress.say(&format!("skipped {path}: {}", reason(&why)));
+                progress.warn(&format!("skipped {path}: {}", reason(&why)));
                 skipped.push(Skipped {
                     path,
                     reason: reason(&why),

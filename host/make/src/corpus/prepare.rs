@@ -253,8 +253,8 @@ fn listen(
                 let result = listen_to(source, late_ms.unwrap_or(0.0), &settings.out, labelling);
                 let path = source.sound_path().display();
                 match &result {
-                    Err(error) => progress.say(&format!("skipped {path}: {}", reason(error))),
-                    Ok((clip, _)) if clip.heard == Heard::Otherwise => progress.say(&format!(
+                    Err(error) => progress.warn(&format!("skipped {path}: {}", reason(error))),
+                    Ok((clip, _)) if clip.heard == Heard::Otherwise => progress.warn(&format!(
                         "{path}: its words do not fit what is heard in it; check them"
                     )),
                     Ok(_) => {}

@@ -168,7 +168,7 @@ fn track_all(
         let track = |&(face, i): &(&Face, usize)| {
             let result = track_one(&clips[i], face, wanted);
             if let Err(error) = &result {
-                progress.say(&format!("skipped {}: {}", place(&clips[i]), reason(error)));
+                progress.warn(&format!("skipped {}: {}", place(&clips[i]), reason(error)));
             }
             steps.iter().for_each(Steps::made);
             (i, result)

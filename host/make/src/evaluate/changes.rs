@@ -30,7 +30,7 @@ impl Changes {
         let visemes = (1..path.len())
             .filter(|&t| path[t] != path[t - 1] && inside(f64::from(data::frame_time(t)) - 0.005))
             .count();
-        let cues = cues::cues(weights, seconds).map_err(Error::other)?;
+        let cues = cues::cues(weights, None, seconds).map_err(Error::other)?;
         Ok(Self {
             visemes,
             cues: cues.iter().skip(1).filter(|cue| inside(cue.start_s)).count(),

@@ -103,7 +103,7 @@ pub fn strangers(
         match observe(path, &name, engine, reader, progress) {
             Ok(one) => observed.push(one),
             Err(why) => {
-                progress.say(&format!("{name} is left out: {}", crate::error::chain(&why)));
+                progress.warn(&format!("{name} is left out: {}", crate::error::chain(&why)));
                 left_out.push((name, crate::error::chain(&why)));
             }
         }

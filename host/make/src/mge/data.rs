@@ -295,7 +295,7 @@ impl Reader<'_> {
             Ok(clip) => store.push(&clip),
             Err(id) => {
                 self.progress
-                    .say(&format!("left out: clip {id}: no path through its words"));
+                    .warn(&format!("left out: clip {id}: no path through its words"));
                 Ok(())
             }
         })

@@ -35,6 +35,10 @@ use lipstream::progress::Progress;
 
 /// Trains, beginning at the likelihood-trained `parent`. `checkpoint` is where an interrupted run left off and will
 /// leave off.
+///
+/// # Errors
+///
+/// That `parent` has learnt another mouth than the folder's, which the new model would be drawn with; and what reading data says.
 pub fn train(
     folder: &FeatureFolder,
     beside: &Beside,
@@ -45,6 +49,9 @@ pub fn train(
 ) -> Result<RecurrentModel> {
     settings.check()?;
     check_parent(parent).map_err(Error::other)?;
+    if let Some(space) = &parent.mouth {
+        folder.has_mouth(space)?;
+    }
     progress.say("forced alignment with the likelihood-trained model");
     let aside = checkpoint.and_then(Path::parent);
     let data = data::read(folder, beside, parent, settings, aside, progress)?;

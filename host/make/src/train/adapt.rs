@@ -114,7 +114,7 @@ fn first_look(hearing: &Parameters, train: &Clips, progress: &dyn Progress) -> R
         Ok(())
     })?;
     if !lost.is_empty() {
-        progress.say(&format!("no path through {}", lost.join(" ")));
+        progress.warn(&format!("no path through {}", lost.join(" ")));
     }
     if lost.len() == clips.len() {
         bail!(Data, "no clip fits its phones: check the labels");

@@ -228,11 +228,11 @@ impl<'a> Clips<'a> {
     fn leave_out(&mut self, fit: Vec<Result<()>>, progress: &dyn Progress) {
         let before = self.len();
         for error in fit.iter().filter_map(|f| f.as_ref().err()) {
-            progress.say(&format!("left out: {}", chain(error)));
+            progress.warn(&format!("left out: {}", chain(error)));
         }
         self.keep(&fit.iter().map(Result::is_ok).collect::<Vec<_>>());
         if self.len() < before {
-            progress.say(&format!(
+            progress.warn(&format!(
                 "{} clips left out, {} used",
                 before - self.len(),
                 self.len()

@@ -7,6 +7,8 @@ mod npy;
 
 use std::io::{self, Write};
 
+use crate::cues::{BlendSet, Blender};
+use crate::opening::OpeningReader;
 use crate::session::Frame;
 
 /// A format that frames are written in.
@@ -14,9 +16,9 @@ use crate::session::Frame;
 pub enum Format {
     /// An array `[frames, D]` of f32, the parameters only.
     Npy,
-    /// A header and a row a frame: time, parameters, viseme weights.
+    /// A header and a row a frame: time, parameters, viseme weights, how far the mouth is open.
     Csv,
-    /// One object: rate, parameters, names and weights of the visemes.
+    /// One object: rate, parameters, names and weights of the visemes, how far the mouth is open.
     Json,
 }
 
@@ -57,17 +59,41 @@ impl Format {
             .find(|f| f.ending().eq_ignore_ascii_case(ending))
     }
 
-    /// Writes frames of `n_parameters` numbers to `to`.
+    /// Writes frames of `n_parameters` numbers to `to`; `opening` reads how far the mouth is open, where it is known (see [`Blender::openness`]).
     ///
     /// # Errors
     ///
     /// What the file behind it says, or that no temporary file can be made.
-    pub fn write<'w>(self, to: impl Write + 'w, n_parameters: usize) -> io::Result<Box<dyn Numbers + 'w>> {
+    pub fn write<'w>(
+        self,
+        to: impl Write + 'w,
+        n_parameters: usize,
+        opening: Option<OpeningReader>,
+    ) -> io::Result<Box<dyn Numbers + 'w>> {
+        let openness = Openness {
+            blender: BlendSet::Arkit.blender(),
+            opening,
+        };
         Ok(match self {
             Format::Npy => Box::new(npy::Npy::new(to, n_parameters)?),
-            Format::Csv => Box::new(csv::Csv::new(to, n_parameters)?),
-            Format::Json => Box::new(json::Json::new(to)?),
+            Format::Csv => Box::new(csv::Csv::new(to, n_parameters, openness)?),
+            Format::Json => Box::new(json::Json::new(to, openness)?),
         })
+    }
+}
+
+/// How far the mouth is open.
+struct Openness {
+    blender: Blender,
+    opening: Option<OpeningReader>,
+}
+
+impl Openness {
+    /// 0 closed to 1 as wide as in speech; none where neither the mouth nor visemes tell it.
+    fn of(&self, frame: &Frame) -> Option<f32> {
+        let measured = self.opening.as_ref().map(|reader| reader.read(frame.parameters));
+        let is_told = measured.is_some() || !frame.visemes.is_empty();
+        is_told.then(|| self.blender.openness(frame.visemes.iter().copied(), measured))
     }
 }
 
@@ -104,7 +130,7 @@ mod tests {
 
     fn written(format: Format, frames: &[(&[f32], &[f32])]) -> Vec<u8> {
         let mut out = Vec::new();
-        let mut numbers = format.write(&mut out, 2).unwrap();
+        let mut numbers = format.write(&mut out, 2, None).unwrap();
         for (index, (parameters, visemes)) in frames.iter().copied().enumerate() {
             let frame = Frame {
                 index,
@@ -133,8 +159,43 @@ mod tests {
     fn rows_have_times() {
         let text = String::from_utf8(written(Format::Csv, &[(&[1.5, -2.0], &WEIGHTS)])).unwrap();
         let lines: Vec<&str> = text.lines().collect();
-        assert!(lines[0].starts_with("time_s,p1,p2,sip,lr1") && lines[0].ends_with(",ve"));
-        assert_eq!(lines[1], "0.0125,1.5,-2,1,0,0,0,0,0,0,0,0,0,0,0,0.5");
+        assert!(lines[0].starts_with("time_s,p1,p2,sip,lr1") && lines[0].ends_with(",ve,open"));
+        // Half of a viseme that the table opens by 0.41.
+        assert!(
+            lines[1].starts_with("0.0125,1.5,-2,1,0,0,0,0,0,0,0,0,0,0,0,0.5,0.2"),
+            "{}",
+            lines[1]
+        );
+        // A recording without visemes says nothing of them, in as many columns.
+        let text = String::from_utf8(written(Format::Csv, &[(&[1.5, -2.0], &[])])).unwrap();
+        assert_eq!(text.lines().nth(1), Some("0.0125,1.5,-2,,,,,,,,,,,,,,"));
+    }
+
+    #[test]
+    fn a_measured_mouth_is_as_open_as_it_is() {
+        let reader = OpeningReader::shipped().unwrap();
+        let slopes = reader.as_ref().unwrap().gap_slopes().to_vec();
+        let steepest = (0..slopes.len())
+            .max_by(|&a, &b| slopes[a].total_cmp(&slopes[b]))
+            .unwrap();
+        let mut wide = vec![0.0; slopes.len()];
+        wide[steepest] = 10.0 / slopes[steepest];
+        let shut: Vec<f32> = wide.iter().map(|v| -v).collect();
+        let mut out = Vec::new();
+        let mut numbers = Format::Json.write(&mut out, slopes.len(), reader).unwrap();
+        for (index, parameters) in [&wide, &shut].into_iter().enumerate() {
+            let visemes = &WEIGHTS;
+            numbers
+                .frame(&Frame {
+                    index,
+                    parameters,
+                    visemes,
+                })
+                .unwrap();
+        }
+        numbers.finish().unwrap();
+        let value: serde_json::Value = serde_json::from_slice(&out).unwrap();
+        assert_eq!(value["open"], serde_json::json!([1.0, 0.0]));
     }
 
     #[test]

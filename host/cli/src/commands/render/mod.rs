@@ -5,12 +5,13 @@ use anyhow::{Context as _, Result, bail};
 
 use super::choices;
 use super::faces::{FaceArgs, mouth};
-use super::streams::{ending, file_name, name, read_sound, say};
+use super::streams::{ending, file_name, keep_apart, name, read_sound, say};
 use crate::progress::Terminal;
 use lipstream::cues;
 use lipstream::engine::{Converted, Engine, RunSettings};
 use lipstream::kinds::hierarchical::HierarchicalModel;
 use lipstream::mouth::MouthSpace;
+use lipstream::opening::OpeningReader;
 use lipstream::render::{self, Painter, Scene as _, Settings, page};
 use lipstream::tensors::Tensors;
 use lipstream::{parameters, shipped, time};
@@ -77,6 +78,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
         scale: args.scale,
         noise: args.noise.unwrap_or(0.0),
     };
+    let read = [&args.model, &args.audio, &args.face.background];
+    let read = read.into_iter().flatten().chain([&args.input]);
+    keep_apart(&args.output, read.map(PathBuf::as_path))?;
     let tensors = Tensors::read_or_shipped(args.model.as_deref())?;
     let of_speech = !["stream", "npy"].contains(&ending(&args.input).as_str());
     if args.audio.is_some() && of_speech {
@@ -177,7 +181,9 @@ fn alone(
 fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
     let sound = read_sound(&args.input)?;
     let engine = Engine::open_or_shipped(args.model.as_deref(), args.engine.into(), false)?;
-    let Converted { parameters, visemes } = engine.convert(&sound, &RunSettings::default())?;
+    let converted = engine.convert(&sound, &RunSettings::default())?;
+    let gaps = OpeningReader::of(space).map(|reader| converted.gaps(&reader));
+    let Converted { parameters, visemes } = converted;
     parameters::check(parameters.view()).with_context(|| format!("{} gives no mouth", name(&args.input)))?;
     let rendered = render::to_mp4(
         space,
@@ -193,7 +199,7 @@ fn page(args: &Args, space: &MouthSpace, settings: &Settings) -> Result<Drawn> {
         viseme_weights: visemes.view(),
         parameters: parameters.view(),
         deviation: space.deviation.view(),
-        cues: &cues::cues(visemes.view(), time::seconds(sound.len()))?,
+        cues: &cues::cues(visemes.view(), gaps.as_deref(), time::seconds(sound.len()))?,
     })?;
     files::write_bytes(&args.output, text.as_bytes())?;
     Ok(Drawn {

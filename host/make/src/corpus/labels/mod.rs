@@ -38,6 +38,9 @@ const PHONES_COVER: f64 = 0.75;
 /// Share of a sound in which its last word has been said at least; silence may follow.
 const WORDS_COVER: f64 = 0.1;
 
+/// How far (s) a phone may begin before the one before it has ended: a frame and its neighbour, which is what rounding makes.
+const PHONES_OVERLAP_S: f64 = 0.02;
+
 /// One stretch of time with its label, in seconds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Interval {
@@ -286,6 +289,17 @@ fn fit(labels: &mut Labels, duration_s: f64) -> Result<()> {
         .filter_map(|w| w.time.as_mut().map(|t| (&mut t.0, &mut t.1)));
     cut(spans, duration_s)?;
     cut(labels.phones.iter_mut().map(|p| (&mut p.0, &mut p.1)), duration_s)?;
+    for pair in labels.phones.windows(2) {
+        let ((_, end, before), (start, _, phone)) = (pair[0], pair[1]);
+        if end - start > PHONES_OVERLAP_S {
+            bail!(
+                Data,
+                "{} begins at {start:.2} s, but {} before it ends at {end:.2} s: one phone follows the other",
+                phone.name(),
+                before.name()
+            );
+        }
+    }
     labels.words.retain(|w| w.time.is_none_or(|(s, e)| e > s));
     labels.phones.retain(|(s, e, _)| e > s);
     Ok(())
@@ -368,6 +382,18 @@ mod tests {
         let names: Vec<_> = labels.phones.iter().map(|p| p.2.name()).collect();
         assert_eq!(names, ["sil", "hh", "iy", "sil"]);
         assert!(read(&[folder.path().join("a.doc")], 1.0).is_err());
+    }
+
+    #[test]
+    fn phones_that_overlap_are_refused_with_their_names() {
+        let two = |start: u32| parse("lab", &format!("0 20000000 ah\n{start} 42000000 l\n"), 4.2);
+        let error = chain(&two(10_000_000).unwrap_err());
+        assert!(
+            error.contains("l begins at 1.00 s, but ah before it ends at 2.00 s"),
+            "{error}"
+        );
+        assert_eq!(two(19_900_000).unwrap().phones.len(), 2);
+        assert_eq!(two(20_000_000).unwrap().phones.len(), 2);
     }
 
     #[test]

@@ -1,44 +1,59 @@
 //! What a sound says, where its text is known: mouth shapes at the times of its phones.
 use std::path::Path;
 
-use anyhow::{Context as _, Result, bail};
 use lipstream::phones::VISEMES;
 use lipstream::time;
-use lipstream_make::align::fit::Fit;
-use lipstream_make::align::{Aligner, Alignment, AudioHmm, Recogniser};
-use lipstream_make::corpus::labels::{self, transcript};
-use lipstream_make::corpus::pronounce::Pronouncer;
-use lipstream_make::features::Word;
 use lipstream_media::files;
 
+use super::fit::Fit;
+use super::{Aligner, Alignment, AudioHmm, Recogniser};
+use crate::corpus::labels::{self, SpokenWord, transcript};
+use crate::corpus::pronounce::Pronouncer;
+use crate::error::{Context as _, Error, Result, bail};
+use crate::features::Word;
+
 /// The text of a sound.
-pub(super) struct Dialog {
+pub struct Dialog {
     words: Vec<Word>,
     name: String,
 }
 
 impl Dialog {
     /// Reads a text file.
-    pub(super) fn read(path: &Path) -> Result<Self> {
-        let text = labels::decode(&files::read_text(path)?)
+    ///
+    /// # Errors
+    ///
+    /// That it cannot be read, has no word, or has one that nothing tells how to say.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = labels::decode(&files::read_text(path).map_err(Error::other)?)
             .with_context(|| format!("cannot read the text {}", path.display()))?;
+        Self::of(&transcript::words(&text), &format!("the text {}", path.display()))
+    }
+
+    /// Words that have been read; `name` says where, in messages.
+    ///
+    /// # Errors
+    ///
+    /// That there is none, or one that nothing tells how to say.
+    pub fn of(words: &[SpokenWord], name: &str) -> Result<Self> {
         let pronouncer = Pronouncer::new(None)?;
-        let spoken = transcript::words(&text);
-        let words = spoken.iter().map(|word| Ok(pronouncer.spoken(word)?.0));
-        let words: Vec<Word> = words
-            .collect::<Result<_>>()
-            .with_context(|| format!("the text {}", path.display()))?;
+        let words = words.iter().map(|word| Ok(pronouncer.spoken(word)?.0));
+        let words: Vec<Word> = words.collect::<Result<_>>().with_context(|| name.to_owned())?;
         if words.is_empty() {
-            bail!("there is no word in the text {}", path.display());
+            bail!(Data, "there is no word in {name}");
         }
         Ok(Self {
             words,
-            name: path.display().to_string(),
+            name: name.to_owned(),
         })
     }
 
     /// Viseme weights of every frame of a sound that says the text; none where it does not, as far as can be heard, with what is to be said about that.
-    pub(super) fn visemes(&self, samples: &[i16]) -> Result<Result<Vec<[f32; VISEMES.len()]>, String>> {
+    ///
+    /// # Errors
+    ///
+    /// That the sound is too short to be heard.
+    pub fn visemes(&self, samples: &[i16]) -> Result<Result<Vec<[f32; VISEMES.len()]>, String>> {
         let aligner = Aligner::new(AudioHmm::shipped()?).with_long_pauses();
         let aligned = match aligner.words(samples, &self.words) {
             Ok(aligned) => aligned,
