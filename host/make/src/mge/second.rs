@@ -507,7 +507,7 @@ impl<'a> Judge<'a> {
         for (clip, said) in self.clips.iter().zip(said) {
             if ahead.is_none_or(|ahead| ahead == clip.ahead) {
                 let mean = &clip.first + &((said - &clip.first) * share);
-                score.add(&(&clip.mouth * &scale), &(mean * &scale));
+                score.add(&(&clip.mouth * &scale), &(mean * scale));
             }
         }
         score
