@@ -32,7 +32,7 @@ fn acc(model: &RecurrentModel, clips: &Store) -> f64 {
     for clip in every(clips) {
         let raw = &clip.x / &ndarray::ArrayView1::from(&model.scale);
         let said = live::convert(model, raw.view()).parameters;
-        let truth = clip.mouth.unwrap() * &ndarray::ArrayView1::from(&model.deviation);
+        let truth = clip.mouth.unwrap() * ndarray::ArrayView1::from(&model.deviation);
         score.add(&truth, &said);
     }
     score.acc()

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use crate::progress::say;
 use anyhow::{Result, bail};
 use lipstream::engine::Engine;
 use lipstream_core::servo::{Calibration, Servos};
@@ -81,7 +82,7 @@ pub(super) fn follow(args: &Args, calibration: &Calibration, out: &mut Out) -> R
         None if !interrupted.load(Ordering::Relaxed) => bail!("no frame came"),
         _ => {
             let seconds = frames as f64 / 100.0;
-            eprintln!("the servos followed for {seconds:.2} s");
+            say(&format!("the servos followed for {seconds:.2} s"));
             Ok(())
         }
     }
