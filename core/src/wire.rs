@@ -48,10 +48,16 @@ pub const fn longest_frame(parameters: usize, visemes: usize) -> usize {
 /// Longest payload of a `Status`: its number 1, the load up to 3, four counts up to 5 each.
 pub const LONGEST_STATUS: usize = 1 + 3 + 4 * 5;
 
+/// Most bytes of words in a [`Notice`].
+pub const MAX_NOTICE: usize = 200;
+/// Longest payload of a `Notice`: its number 1, the number of bytes up to 2, the words.
+const LONGEST_NOTICE: usize = 1 + 2 + MAX_NOTICE;
+
 /// Longest payload, without its CRC, in bytes: a full `Hello`, 440 (96 parameters in 4 groups of the longest names). A full `Pcm`
 /// takes 328, a full `Frame` 314.
 pub const MAX_PAYLOAD: usize = longest_hello(MAX_GROUPS, MAX_PARAMETERS);
 const _: () = assert!(MAX_PCM <= MAX_PAYLOAD && longest_frame(MAX_PARAMETERS, N_VISEMES) <= MAX_PAYLOAD);
+const _: () = assert!(LONGEST_NOTICE <= MAX_PAYLOAD);
 /// Longest frame on the line in bytes: payload 440, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 445.
 pub const MAX_ENCODED: usize = encoded_size(MAX_PAYLOAD);
 
@@ -71,7 +77,7 @@ mod number {
     /// The device's `Hello`.
     pub(super) const HELLO_TO_HOST: u8 = 0;
     /// Messages to the host have numbers below this.
-    pub(super) const END_TO_HOST: u8 = 3;
+    pub(super) const END_TO_HOST: u8 = 4;
     /// The host's `Hello`.
     pub(super) const HELLO_TO_DEVICE: u8 = 4;
     /// Messages to the device have numbers below this.
@@ -91,6 +97,8 @@ pub enum ToHost {
     Frame(Frame),
     /// How the device is doing.
     Status(Status),
+    /// What people should know of the device.
+    Notice(Notice),
 }
 
 /// What the device is and how to read its frames. Sent at `Start`, after `Profile`, when the host asks, and about once a second.
@@ -200,6 +208,33 @@ pub struct Status {
     pub narrowed: u32,
     /// Whole messages since `Start` whose number this protocol does not have: skipped.
     pub unknown: u32,
+}
+
+/// What people should know of the device, in words: that it refused a model, or that its program has ended and why. Nothing is computed
+/// with it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Notice {
+    /// A sentence or part of one, without a full stop.
+    pub words: String<MAX_NOTICE>,
+}
+
+impl Notice {
+    /// The words that there is room for.
+    pub fn new(words: fmt::Arguments) -> Self {
+        struct Cut(String<MAX_NOTICE>);
+        impl fmt::Write for Cut {
+            fn write_str(&mut self, piece: &str) -> fmt::Result {
+                // Once a character was left out nothing follows it: an error ends the writing.
+                piece
+                    .chars()
+                    .try_for_each(|letter| self.0.push(letter).map_err(|_| fmt::Error))
+            }
+        }
+        let mut cut = Cut(String::new());
+        let _ = fmt::Write::write_fmt(&mut cut, words);
+        Self { words: cut.0 }
+    }
 }
 
 /// Host → device.

@@ -1,7 +1,7 @@
 //! The examples in `docs/wire.md` are what the code sends and reads.
 use lipstream_core::wire::{
-    Frame, Group, Hello, MAX_ENCODED, Message, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
-    encode,
+    Frame, Group, Hello, MAX_ENCODED, Message, Notice, PROTOCOL, Pcm, Profile, Receiver, Status, ToDevice,
+    ToHost, encode,
 };
 
 const DOCUMENT: &str = include_str!("../../docs/wire.md");
@@ -121,6 +121,10 @@ fn examples_hold() {
             narrowed: 5,
             unknown: 1,
         }),
+    );
+    check_to_host(
+        "Notice",
+        ToHost::Notice(Notice::new(format_args!("the lips are glued"))),
     );
     check_to_device("Start", ToDevice::Start);
     check_to_device("Stop", ToDevice::Stop);

@@ -2,9 +2,10 @@
 use lipstream_core::HOP_SAMPLES;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::kinds::Kind;
+use lipstream_core::model::ModelError;
 use lipstream_core::wire::{
-    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Pcm, Profile, Receiver, Status, ToDevice, ToHost, WireError,
-    encode,
+    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Notice, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
+    WireError, encode,
 };
 use lipstream_core::{Model, ParameterFrame, Stream, StreamSettings};
 
@@ -49,6 +50,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
             receiver: Receiver::new(),
             engine: Engine {
                 model,
+                refused: None,
                 stream: Stream::new(model, StreamSettings::of(Profile::Standard)),
                 line,
                 clock,
@@ -63,6 +65,11 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> App<'m, K, L, C> {
                 round_began: now,
             },
         }
+    }
+
+    /// Why another model than the one that runs, the board's own, was not taken: said to every host that comes.
+    pub fn model_refused(&mut self, why: Option<ModelError>) {
+        self.engine.refused = why;
     }
 
     /// A byte from the host.
@@ -120,6 +127,7 @@ fn pace<'m, K: Kind<'m>>(model: &Model<'m, K>, line: &impl Line) -> Pace {
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
 struct Engine<'m, K: Kind<'m>, L, C> {
     model: &'m Model<'m, K>,
+    refused: Option<ModelError>,
     stream: Stream<'m, K>,
     line: L,
     clock: C,
@@ -151,7 +159,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
-            ToDevice::Hello { .. } => self.say_hello(),
+            ToDevice::Hello { .. } => self.introduce(),
         }
     }
 
@@ -159,7 +167,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
     fn refuse(&mut self) {
         self.running = false;
         self.line.send(&[0]);
-        self.say_hello();
+        self.introduce();
     }
 
     /// A message of a number that this protocol does not have.
@@ -180,7 +188,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
         self.round_began = self.clock.ticks();
         // Ends whatever stands half sent on the line.
         self.line.send(&[0]);
-        self.say_hello();
+        self.introduce();
     }
 
     fn stop(&mut self) {
@@ -256,6 +264,15 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock> Engine<'m, K, L, C> {
             self.pace.round();
             self.say_hello();
             self.say_status();
+        }
+    }
+
+    /// Who this is, to a host that may be new, and what it should know.
+    fn introduce(&mut self) {
+        self.say_hello();
+        if let Some(error) = self.refused {
+            let words = format_args!("the model in flash is refused, the built-in one runs: {error}");
+            self.say(&ToHost::Notice(Notice::new(words)));
         }
     }
 

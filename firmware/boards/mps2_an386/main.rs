@@ -16,6 +16,7 @@ use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::Model;
+use lipstream_core::model::ModelError;
 use lipstream_firmware::{App, Line};
 use model::Kind;
 use semihosting::experimental::env;
@@ -35,12 +36,17 @@ const OUTPUT: &CStr = c"output.wire";
 
 #[entry]
 fn main() -> ! {
-    let model = match Model::new_checked(model::in_flash()) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_checked(bytes) {
         Ok(model) => MODEL.init(model),
         Err(error) => fail(format_args!("{error}")),
     };
     let files = env::args::<64>().is_ok_and(|words| words.flatten().any(|word| word == "--files"));
-    if files { on_files(model) } else { on_uart(model) }
+    if files {
+        on_files(model, refused)
+    } else {
+        on_uart(model, refused)
+    }
 }
 
 /// Where messages go.
@@ -71,9 +77,10 @@ fn make_app(model: &'static DeviceModel, wire: Wire, counter: Counter) -> &'stat
     APP.init_with(|| App::new(model, wire, counter))
 }
 
-fn on_uart(model: &'static DeviceModel) -> ! {
+fn on_uart(model: &'static DeviceModel, refused: Option<ModelError>) -> ! {
     let (sender, receiver) = board::uart0();
     let app = make_app(model, Wire::Uart(sender), Counter::Running);
+    app.model_refused(refused);
     loop {
         app.receive(receiver.get());
     }
@@ -103,7 +110,7 @@ impl FileLine {
     }
 }
 
-fn on_files(model: &'static DeviceModel) -> ! {
+fn on_files(model: &'static DeviceModel, refused: Option<ModelError>) -> ! {
     let (Ok(mut input), Ok(file)) = (File::open(INPUT), File::create(OUTPUT)) else {
         fail(format_args!("cannot open {INPUT:?} or make {OUTPUT:?}"));
     };
@@ -114,6 +121,7 @@ fn on_files(model: &'static DeviceModel) -> ! {
     };
     // What is written must not depend on the time that it took.
     let app = make_app(model, Wire::File(line), Counter::Still);
+    app.model_refused(refused);
     let starting = stack::used();
     stack::repaint();
     app.start();

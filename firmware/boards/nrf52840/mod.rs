@@ -111,11 +111,13 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         },
     };
     // With the UART at hand, to say it where it is wrong.
-    let model = match Model::new_checked(model::in_flash()) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_checked(bytes) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
     let app = make_app(model, ports, Microseconds::begin(board.TIMER0));
+    app.model_refused(refused);
     let mut microphone = Microphone::begin(board.PDM, &pdm_clock, &pdm_data);
     processor.SYST.set_clock_source(SystClkSource::Core);
     processor.SYST.set_reload(PROCESSOR_HZ / WAKE_HZ - 1);

@@ -153,11 +153,13 @@ pub(crate) fn run() -> ! {
         },
     };
     // With the ports at hand, to say it where it is wrong.
-    let model = match Model::new_checked(copied(model::in_flash())) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_checked(copied(bytes)) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
     let app = make_app(model, ports, Microseconds(timer));
+    app.model_refused(refused);
     let mut microphone = Microphone::begin(
         board.PIO0,
         board.DMA,

@@ -352,6 +352,11 @@ impl Running {
         match message {
             ToHost::Hello(hello) => self.hello(hello),
             ToHost::Frame(frame) => self.frame(frame),
+            // It may be from afar: whatever is no ordinary letter could turn a terminal's colours.
+            ToHost::Notice(notice) => {
+                let words: String = notice.words.chars().filter(|c| !c.is_control()).collect();
+                self.say_once(Level::Warning, &format!("the device says: {words}"));
+            }
             ToHost::Status(status) => {
                 self.status = status;
                 if std::mem::take(&mut self.ending) {

@@ -152,7 +152,7 @@ impl Link {
                 }
             }
             ToHost::Frame(frame) => Ok(self.accept_frame(frame)),
-            ToHost::Status(_) => Ok(true),
+            ToHost::Status(_) | ToHost::Notice(_) => Ok(true),
         }
     }
 
@@ -347,7 +347,7 @@ mod tests {
     #[test]
     fn unknown_messages_are_skipped_and_counted() {
         let mut line = bytes(&hello(5, 3));
-        for number in [3, 9, 255] {
+        for number in [4, 9, 255] {
             line.extend(framed(&[number, 1, 2, 0, 7]));
             line.extend(bytes(&frame(0, 3)));
         }
