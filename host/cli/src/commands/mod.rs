@@ -20,6 +20,7 @@ mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;
+mod flash;
 mod folds;
 mod manual;
 mod mos;
@@ -54,6 +55,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Flash(flash::Args),
     Folds(folds::Args),
     Man(manual::Man),
     Mos(mos::Args),
@@ -88,6 +90,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Flash(args) => flash::run(args),
         Command::Folds(args) => folds::run(args),
         Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
