@@ -583,7 +583,7 @@ pub fn unknown_messages_are_told_from_damage() {
         );
         // 4 is the host's `Hello`.
         let at_device = match number {
-            3 => WireError::Malformed,
+            4 => WireError::Malformed,
             _ => WireError::Unknown { number },
         };
         assert_eq!(error_at_device(bytes.as_slice()), Some(at_device));
