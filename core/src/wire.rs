@@ -48,19 +48,16 @@ pub const fn longest_frame(parameters: usize, visemes: usize) -> usize {
 /// Longest payload of a `Status`: its number 1, the load up to 3, four counts up to 5 each.
 pub const LONGEST_STATUS: usize = 1 + 3 + 4 * 5;
 
-/// Most bytes of a [`Notice`]'s text.
-pub const MAX_NOTICE: usize = 160;
-/// Longest payload of a `Notice`: its number 1, the length of its text 2, the text.
+/// Most bytes of words in a [`Notice`].
+pub const MAX_NOTICE: usize = 200;
+/// Longest payload of a `Notice`: its number 1, the number of bytes up to 2, the words.
 const LONGEST_NOTICE: usize = 1 + 2 + MAX_NOTICE;
 
 /// Longest payload, without its CRC, in bytes: a full `Hello`, 440 (96 parameters in 4 groups of the longest names). A full `Pcm`
 /// takes 328, a full `Frame` 314.
 pub const MAX_PAYLOAD: usize = longest_hello(MAX_GROUPS, MAX_PARAMETERS);
-const _: () = assert!(
-    MAX_PCM <= MAX_PAYLOAD
-        && longest_frame(MAX_PARAMETERS, N_VISEMES) <= MAX_PAYLOAD
-        && LONGEST_NOTICE <= MAX_PAYLOAD
-);
+const _: () = assert!(MAX_PCM <= MAX_PAYLOAD && longest_frame(MAX_PARAMETERS, N_VISEMES) <= MAX_PAYLOAD);
+const _: () = assert!(LONGEST_NOTICE <= MAX_PAYLOAD);
 /// Longest frame on the line in bytes: payload 440, CRC 2, one COBS byte for the start and each 254 of these (2), the zero: 445.
 pub const MAX_ENCODED: usize = encoded_size(MAX_PAYLOAD);
 
@@ -100,7 +97,7 @@ pub enum ToHost {
     Frame(Frame),
     /// How the device is doing.
     Status(Status),
-    /// What people should know.
+    /// What people should know of the device.
     Notice(Notice),
 }
 
@@ -213,33 +210,30 @@ pub struct Status {
     pub unknown: u32,
 }
 
-/// What people should know of the device, in words, such as why its servos stay where they are. Sent with the `Hello` at `Start` and with that for a host
-/// that asks, and when there is something new.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+/// What people should know of the device, in words: that it refused a model, why its servos stay where they are, or that its program has
+/// ended and why. Nothing is computed with it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Notice {
-    /// One line.
-    pub text: String<MAX_NOTICE>,
+    /// A sentence or part of one, without a full stop.
+    pub words: String<MAX_NOTICE>,
 }
 
 impl Notice {
-    /// The words, as many of them as there is room for.
+    /// The words that there is room for.
     pub fn new(words: fmt::Arguments) -> Self {
-        let mut notice = Self::default();
-        // Only the end of the room is an error, and what fitted stays.
-        let _ = fmt::Write::write_fmt(&mut Room(&mut notice.text), words);
-        notice
-    }
-}
-
-/// Takes words letter by letter, until there is no room.
-struct Room<'a>(&'a mut String<MAX_NOTICE>);
-
-impl fmt::Write for Room<'_> {
-    fn write_str(&mut self, words: &str) -> fmt::Result {
-        words
-            .chars()
-            .try_for_each(|letter| self.0.push(letter).map_err(|_| fmt::Error))
+        struct Cut(String<MAX_NOTICE>);
+        impl fmt::Write for Cut {
+            fn write_str(&mut self, piece: &str) -> fmt::Result {
+                // Once a character was left out nothing follows it: an error ends the writing.
+                piece
+                    .chars()
+                    .try_for_each(|letter| self.0.push(letter).map_err(|_| fmt::Error))
+            }
+        }
+        let mut cut = Cut(String::new());
+        let _ = fmt::Write::write_fmt(&mut cut, words);
+        Self { words: cut.0 }
     }
 }
 

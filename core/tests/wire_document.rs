@@ -124,7 +124,7 @@ fn examples_hold() {
     );
     check_to_host(
         "Notice",
-        ToHost::Notice(Notice::new(format_args!("servos stay off"))),
+        ToHost::Notice(Notice::new(format_args!("the lips are glued"))),
     );
     check_to_device("Start", ToDevice::Start);
     check_to_device("Stop", ToDevice::Stop);
@@ -143,8 +143,8 @@ fn examples_hold() {
 #[test]
 fn a_long_notice_is_cut_at_a_letter() {
     let notice = Notice::new(format_args!("x{:µ>200}", ""));
-    assert_eq!(notice.text.len(), MAX_NOTICE - 1);
-    assert!(notice.text.ends_with('µ'));
+    assert_eq!(notice.words.len(), MAX_NOTICE - 1);
+    assert!(notice.words.ends_with('µ'));
     let bytes = encode(&ToHost::Notice(notice.clone()), &mut [0; MAX_ENCODED])
         .unwrap()
         .to_vec();

@@ -2,9 +2,10 @@
 use lipstream_core::HOP_SAMPLES;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::kinds::Kind;
+use lipstream_core::model::ModelError;
 use lipstream_core::wire::{
-    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Pcm, Profile, Receiver, Status, ToDevice, ToHost, WireError,
-    encode,
+    Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Notice, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
+    WireError, encode,
 };
 use lipstream_core::{Model, ParameterFrame, Stream, StreamSettings};
 
@@ -61,6 +62,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> App<'m, K, L, C, F> {
             receiver: Receiver::new(),
             engine: Engine {
                 model,
+                refused: None,
                 stream: Stream::new(model, StreamSettings::of(Profile::Standard)),
                 line,
                 clock,
@@ -77,6 +79,11 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> App<'m, K, L, C, F> {
                 still: 0,
             },
         }
+    }
+
+    /// Why another model than the one that runs, the board's own, was not taken: said to every host that comes.
+    pub fn model_refused(&mut self, why: Option<ModelError>) {
+        self.engine.refused = why;
     }
 
     /// A byte from the host.
@@ -137,6 +144,7 @@ fn pace<'m, K: Kind<'m>>(model: &Model<'m, K>, line: &impl Line) -> Pace {
 /// Everything but the receiver, whose buffer a message borrows while it is obeyed.
 struct Engine<'m, K: Kind<'m>, L, C, F> {
     model: &'m Model<'m, K>,
+    refused: Option<ModelError>,
     stream: Stream<'m, K>,
     line: L,
     clock: C,
@@ -171,14 +179,11 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
-            ToDevice::Hello { .. } => {
-                self.say_hello();
-                self.say_notice();
-            }
+            ToDevice::Hello { .. } => self.introduce(),
         }
     }
 
-    /// A host of another protocol: it gets to know ours, and no frames that it would misread.
+    /// A host of another protocol: it gets to know ours, and nothing else that it would misread.
     fn refuse(&mut self) {
         self.running = false;
         self.line.send(&[0]);
@@ -203,8 +208,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
         self.round_began = self.clock.ticks();
         // Ends whatever stands half sent on the line.
         self.line.send(&[0]);
-        self.say_hello();
-        self.say_notice();
+        self.introduce();
     }
 
     fn stop(&mut self) {
@@ -299,6 +303,16 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
         }
     }
 
+    /// Who this is, to a host that may be new, and what it should know.
+    fn introduce(&mut self) {
+        self.say_hello();
+        if let Some(error) = self.refused {
+            let words = format_args!("the model in flash is refused, the built-in one runs: {error}");
+            self.say(&ToHost::Notice(Notice::new(words)));
+        }
+        self.say_notice();
+    }
+
     fn say_hello(&mut self) {
         let lag = self.stream.delay_samples().min(usize::from(u16::MAX)) as u16;
         let hello = Hello::new(
@@ -310,6 +324,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
         self.say(&ToHost::Hello(hello));
     }
 
+    /// What the servos have to say, if they have.
     fn say_notice(&mut self) {
         if let Some(notice) = self.follower.notice().cloned() {
             self.say(&ToHost::Notice(notice));

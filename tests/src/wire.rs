@@ -137,8 +137,8 @@ fn payload(message: &Either) -> Bytes {
         }
         Either::ToHost(ToHost::Notice(notice)) => {
             out.push(3);
-            varint(&mut out, notice.text.len() as u32);
-            out.extend(notice.text.as_bytes());
+            varint(&mut out, notice.words.len() as u32);
+            out.extend(notice.words.as_bytes());
         }
         Either::ToDevice(ToDevice::Start) => out.push(0),
         Either::ToDevice(ToDevice::Stop) => out.push(1),
@@ -241,12 +241,16 @@ fn for_messages(mut check: impl FnMut(&Either)) {
             unknown: overruns / 11,
         })));
     }
-    for length in [0, 1, 127, 128, 160] {
-        check(&Either::ToHost(ToHost::Notice(Notice::new(format_args!(
-            "{:x>length$}",
-            ""
-        )))));
+    for length in [0, 1, 127, 128, MAX_NOTICE, MAX_NOTICE + 50] {
+        let notice = Notice::new(format_args!("{:x<length$}", ""));
+        assert_eq!(notice.words.len(), length.min(MAX_NOTICE));
+        check(&Either::ToHost(ToHost::Notice(notice)));
     }
+    // A letter of two bytes where there is room for one: it is left out, and so is what follows.
+    let room = MAX_NOTICE - 1;
+    let notice = Notice::new(format_args!("{:x<room$}{}{}", "", 'ä', "y"));
+    assert_eq!(notice.words.len(), room);
+    check(&Either::ToHost(ToHost::Notice(notice)));
     check(&Either::ToDevice(ToDevice::Start));
     check(&Either::ToDevice(ToDevice::Stop));
     check(&Either::ToDevice(ToDevice::Hello { protocol: PROTOCOL }));
@@ -583,7 +587,7 @@ pub fn unknown_messages_are_told_from_damage() {
         );
         // 4 is the host's `Hello`.
         let at_device = match number {
-            3 => WireError::Malformed,
+            4 => WireError::Malformed,
             _ => WireError::Unknown { number },
         };
         assert_eq!(error_at_device(bytes.as_slice()), Some(at_device));

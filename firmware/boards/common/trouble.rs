@@ -1,4 +1,4 @@
-//! What ends the program ends it visibly: servos let go, words on the UART, a code on the LED, and then a new start.
+//! What ends the program ends it visibly: servos let go, a `Notice` on the UART, which a terminal shows as its words, a code on the LED, and then a new start.
 //!
 //! | LED | |
 //! |---|---|
@@ -7,10 +7,11 @@
 //!
 //! A program that hangs, and a processor that gave up (a fault within a fault: the stack was too small), are started again by the watchdog. A
 //! board says in its own `visible` how it ends its servos' pulses, sends a byte, turns its LED, and keeps its watchdog waiting.
-use core::fmt::{self, Write};
+use core::fmt;
 
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{ExceptionFrame, exception};
+use lipstream_core::wire::{MAX_ENCODED, Notice, ToHost, encode};
 
 use super::visible;
 
@@ -19,20 +20,14 @@ const SHORT: u32 = 16_000_000;
 /// How often the code is shown before the new start.
 const ROUNDS: u32 = 4;
 
-struct Words;
-
-impl Write for Words {
-    fn write_str(&mut self, words: &str) -> fmt::Result {
-        words.bytes().for_each(visible::put);
-        Ok(())
-    }
-}
-
 fn end(blinks: u32, words: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
     visible::release();
-    // Between zeros, so that a receiver of messages is back in step.
-    let _ = write!(Words, "\0lipstream: {words}\r\n\0");
+    // The zero ends whatever stands half sent on the line.
+    visible::put(0);
+    if let Ok(bytes) = encode(&ToHost::Notice(Notice::new(words)), &mut [0; MAX_ENCODED]) {
+        bytes.iter().copied().for_each(visible::put);
+    }
     for _ in 0..ROUNDS {
         visible::led(false);
         visible::keep();

@@ -18,6 +18,7 @@ use board::{Counter, Uart};
 use core::ffi::CStr;
 use cortex_m_rt::{ExceptionFrame, entry, exception};
 use lipstream_core::Model;
+use lipstream_core::model::ModelError;
 use lipstream_core::servo::Driver;
 use lipstream_firmware::servo::lines::{Csv, Maestro};
 use lipstream_firmware::servo::{Either, Rig};
@@ -42,12 +43,17 @@ const OUTPUT: &CStr = c"output.wire";
 
 #[entry]
 fn main() -> ! {
-    let model = match Model::new_checked(model::in_flash()) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_checked(bytes) {
         Ok(model) => MODEL.init(model),
         Err(error) => fail(format_args!("{error}")),
     };
     let files = env::args::<64>().is_ok_and(|words| words.flatten().any(|word| word == "--files"));
-    if files { on_files(model) } else { on_uart(model) }
+    if files {
+        on_files(model, refused)
+    } else {
+        on_uart(model, refused)
+    }
 }
 
 /// Where messages go.
@@ -95,9 +101,10 @@ fn make_servos(model: &DeviceModel) -> &'static mut Servos {
     })
 }
 
-fn on_uart(model: &'static DeviceModel) -> ! {
+fn on_uart(model: &'static DeviceModel, refused: Option<ModelError>) -> ! {
     let (sender, receiver) = board::uart0();
     let app = make_app(model, Wire::Uart(sender), Counter::Running, make_servos(model));
+    app.model_refused(refused);
     loop {
         app.receive(receiver.get());
     }
@@ -127,7 +134,7 @@ impl FileLine {
     }
 }
 
-fn on_files(model: &'static DeviceModel) -> ! {
+fn on_files(model: &'static DeviceModel, refused: Option<ModelError>) -> ! {
     let (Ok(mut input), Ok(file)) = (File::open(INPUT), File::create(OUTPUT)) else {
         fail(format_args!("cannot open {INPUT:?} or make {OUTPUT:?}"));
     };
@@ -138,6 +145,7 @@ fn on_files(model: &'static DeviceModel) -> ! {
     };
     // What is written must not depend on the time that it took.
     let app = make_app(model, Wire::File(line), Counter::Still, make_servos(model));
+    app.model_refused(refused);
     let starting = stack::used();
     stack::repaint();
     app.start();

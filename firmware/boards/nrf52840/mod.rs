@@ -122,7 +122,8 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         },
     };
     // With the UART at hand, to say it where it is wrong.
-    let model = match Model::new_checked(model::in_flash()) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_checked(bytes) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
@@ -134,6 +135,7 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         model.head(),
     );
     let app = make_app(model, ports, Microseconds::begin(board.TIMER0), servos);
+    app.model_refused(refused);
     let mut microphone = Microphone::begin(board.PDM, &pdm_clock, &pdm_data);
     processor.SYST.set_clock_source(SystClkSource::Core);
     processor.SYST.set_reload(PROCESSOR_HZ / WAKE_HZ - 1);

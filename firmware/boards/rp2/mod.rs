@@ -157,12 +157,14 @@ pub(crate) fn run() -> ! {
         (pins.gpio20, pins.gpio21),
     );
     // With the ports at hand, to say it where it is wrong.
-    let model = match Model::new_placed(model::in_flash(), fast::place) {
+    let (bytes, refused) = model::chosen();
+    let model = match Model::new_placed(bytes, fast::place) {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
     let servos = make_servos(ways, model);
     let app = make_app(model, ports, Microseconds(timer), servos);
+    app.model_refused(refused);
     let mut microphone = Microphone::begin(
         board.PIO0,
         board.DMA,

@@ -254,13 +254,13 @@ fn a_pca9685_is_told_the_cores_pulses_and_found_again() {
     assert!(
         rig.notice()
             .expect("words")
-            .text
+            .words
             .starts_with("pca9685 does not answer")
     );
     chip.borrow_mut().power_on();
     (0..60).for_each(|_| rig.frame(&frame(i16::MAX)));
     assert_eq!(
-        rig.notice().expect("words").text.as_str(),
+        rig.notice().expect("words").words.as_str(),
         "pca9685 answers again"
     );
     let open = chip.borrow().pulse(0).expect("a pulse");
@@ -320,7 +320,7 @@ fn what_is_wrong_with_a_calibration_is_said_and_nothing_moves() {
         (0..200).for_each(|_| rig.frame(&frame(i16::MAX)));
         rig.idle();
         assert!(bytes.0.take().is_empty());
-        let words = rig.notice().expect("words").text.to_string();
+        let words = rig.notice().expect("words").words.to_string();
         words
             .strip_prefix("servos stay off: ")
             .expect("what stays")

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 19] = [
+const COMMANDS: [&str; 20] = [
     "align",
     "check",
     "completions",
@@ -17,6 +17,7 @@ const COMMANDS: [&str; 19] = [
     "evaluate",
     "export",
     "features",
+    "flash",
     "folds",
     "man",
     "mos",

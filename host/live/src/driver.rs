@@ -352,10 +352,10 @@ impl Running {
         match message {
             ToHost::Hello(hello) => self.hello(hello),
             ToHost::Frame(frame) => self.frame(frame),
+            // It may be from afar: whatever is no ordinary letter could turn a terminal's colours.
             ToHost::Notice(notice) => {
-                // Whatever a device sends, it is one line here.
-                let words = notice.text.replace(char::is_control, " ");
-                self.say_once(Level::Info, &format!("the device says: {words}"));
+                let words: String = notice.words.chars().filter(|c| !c.is_control()).collect();
+                self.say_once(Level::Warning, &format!("the device says: {words}"));
             }
             ToHost::Status(status) => {
                 self.status = status;

@@ -14,6 +14,7 @@
 #![warn(missing_docs)]
 
 pub mod address;
+pub mod board;
 pub mod clock;
 pub mod desk;
 mod device;

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use common::{bytes, frame, hello, notice, until};
-use lipstream_core::wire::{Receiver, Status, ToDevice, ToHost};
+use lipstream_core::wire::{Notice, Receiver, Status, ToDevice, ToHost};
 use lipstream_live::address::Address;
 use lipstream_live::clock::Clock;
 use lipstream_live::driver::{Driver, Setup, Source};
@@ -218,6 +218,18 @@ fn a_device_that_is_pulled_out_comes_back() {
     assert_eq!(samples(&events).len(), 5);
     // The half frame is no loss that could be counted on a line that is gone; nothing else is.
     bench.until_losses((0, 0, 0));
+}
+
+/// The device's own words reach people, without what would turn a terminal's colours.
+#[test]
+fn what_a_device_has_to_say_is_told() {
+    let mut bench = bench(None);
+    bench.say(&ToHost::Hello(hello()));
+    let words = format_args!("the model is refused\u{1b}[31m: it is damaged");
+    bench.say(&ToHost::Notice(Notice::new(words)));
+    let events = until(&mut bench.watch, |event| notice(event).is_some());
+    let said = notice(events.last().unwrap()).unwrap();
+    assert_eq!(said, "the device says: the model is refused[31m: it is damaged");
 }
 
 #[test]

@@ -1,9 +1,12 @@
-//! The Pico's firmware in rp2040js (`tests/rp2040`): sound comes bit by bit through an I²S microphone's pins, PIO and DMA; what leaves by USB
-//! and UART is what the core gives on the host.
-use std::path::PathBuf;
+//! The Pico's firmware in rp2040js (`tests/rp2040`), flashed by files of `lipstream flash`: sound comes bit by bit through an I²S microphone's
+//! pins, PIO and DMA; what leaves by USB and UART is what the core gives on the host. And what happens when something goes wrong.
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use lipstream::export::{MgeSettings, export_mge};
+use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::link::{Link, Losses};
 use lipstream_core::wire::{Profile, Status, ToDevice, ToHost};
 use lipstream_core::{AnyModel, StreamSettings};
@@ -26,6 +29,24 @@ fn program() -> &'static PathBuf {
     PROGRAM.get_or_init(|| build_firmware("pico", &common::folder("pico"), "firmware", None))
 }
 
+/// The UF2 file that `lipstream flash` writes with these words, in `folder`.
+pub(crate) fn uf2(folder: &Path, name: &str, words: &[&str]) -> PathBuf {
+    let file = folder.join(name);
+    let to = file.to_str().expect("an ordinary name");
+    let words = [&["lipstream", "flash", "--board", "pico", "--file", to], words].concat();
+    lipstream_cli::run(words.iter().map(OsString::from)).expect("flash writes a file");
+    file
+}
+
+/// The program alone, as it is flashed.
+pub(crate) fn flashed() -> &'static PathBuf {
+    static FLASHED: OnceLock<PathBuf> = OnceLock::new();
+    FLASHED.get_or_init(|| {
+        let program = program().to_str().expect("an ordinary name");
+        uf2(&common::folder("pico-uf2"), "pico.uf2", &["--program", program])
+    })
+}
+
 /// What a board said.
 struct Said {
     usb: Vec<ToHost>,
@@ -37,8 +58,12 @@ struct Said {
 
 /// Lets the board hear `samples` while the host does `events`.
 fn run(name: &str, samples: &[i16], events: &[Value]) -> Said {
-    let folder = emulate(name, samples, json!({ "events": events }));
-    let model = model();
+    run_with(&model(), name, samples, json!({ "events": events }))
+}
+
+/// The same with any job for the emulator, when the board runs this model.
+fn run_with(model: &AnyModel, name: &str, samples: &[i16], job: Value) -> Said {
+    let folder = emulate(name, samples, job);
     let read = |port: &str| {
         let mut link = Link::new(Some(model.head().id()));
         let mut messages = Vec::new();
@@ -64,18 +89,12 @@ pub(crate) fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
         emulator.join("node_modules/rp2040js").is_dir(),
         "no emulator: tests/setup npm:tests/rp2040 installs it"
     );
-    let elf = std::fs::read(program()).expect("the program");
-    let file = object::File::parse(&*elf).expect("an ELF file");
-    let address = |name| {
-        let symbol = file
-            .symbol_by_name(name)
-            .unwrap_or_else(|| panic!("no symbol {name}"));
-        symbol.address()
-    };
     let folder = common::folder(name);
+    if job.get("flash").is_none() {
+        job["flash"] = json!([flashed()]);
+    }
     let sound: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
     std::fs::write(folder.join("sound.pcm"), sound).expect("write the sound");
-    job["program"] = json!(program());
     job["sound"] = json!(folder.join("sound.pcm"));
     job["folder"] = json!(folder);
     job["stack"] = json!([address("_stack_end"), address("_stack_start")]);
@@ -91,6 +110,16 @@ pub(crate) fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
         String::from_utf8_lossy(&output.stderr)
     );
     folder
+}
+
+/// The address of a symbol of the program.
+fn address(name: &str) -> u64 {
+    let elf = std::fs::read(program()).expect("the program");
+    let file = object::File::parse(&*elf).expect("an ELF file");
+    let symbol = file
+        .symbol_by_name(name)
+        .unwrap_or_else(|| panic!("no symbol {name}"));
+    symbol.address()
 }
 
 static MODEL: OnceLock<Vec<u8>> = OnceLock::new();
@@ -129,7 +158,7 @@ fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
     println!("{rounds:?} {}", said.report);
     assert!((1..=MOST_LOAD).contains(&rounds.load_permille), "{rounds:?}");
     assert_eq!(said.report["bitClock"], 1_024_000.0);
-    assert_eq!(said.report["watchdog"], 0);
+    assert_eq!(said.report["starts"], json!([]));
     assert!(said.report["blinks"].as_u64() >= Some(2), "{}", said.report);
     let [used, size] = ["stackUsed", "stackSize"].map(|name| said.report[name].as_u64().expect("a number"));
     assert!(used + 4096 <= size, "{used} of {size} bytes of stack");
@@ -189,22 +218,193 @@ fn troubles_of_one_host_are_its_own() {
     let status = last_status(&said.uart);
     assert_eq!(status.overruns, 0);
     assert!(status.dropped > 0, "{status:?}");
-    assert_eq!(said.report["watchdog"], 0);
+    assert_eq!(said.report["starts"], json!([]));
 }
 
-/// A model that is damaged in flash: words, and the LED's code instead of the heartbeat.
+/// Another model than the built-in one, which makes other frames of the same sound.
+pub(crate) fn other_tables() -> Vec<u8> {
+    let model = RecurrentModel::read(&common::root().join("models/grid-s1.safetensors")).expect("a model");
+    export_mge(&model, &MgeSettings { beam_bits: 8.0 })
+        .expect("its tables")
+        .bytes
+}
+
+/// What a board says beside its `Hello` to which nobody wrote a calibration.
+const NO_SERVOS: &str = "servos stay off: there is no calibration in flash";
+
+/// The words of the notices among messages.
+pub(crate) fn notices(messages: &[ToHost]) -> Vec<&str> {
+    let words = messages.iter().filter_map(|message| match message {
+        ToHost::Notice(notice) => Some(notice.words.as_str()),
+        _ => None,
+    });
+    words.collect()
+}
+
+/// A model in the region that is kept for another runs in place of the built-in one, which is still in the program.
 #[test]
-fn a_damaged_model_is_refused_visibly() {
-    let tables = common::shipped_tables();
-    let at = 0x1010_0000 + tables.len() / 2;
-    let job = json!({ "events": [], "flash": [[at, tables[tables.len() / 2] ^ 1]], "milliseconds": 2500 });
-    let folder = emulate("pico-damaged", &[0; 16], job);
-    let said = std::fs::read(folder.join("uart.wire")).expect("what was sent");
-    let said = String::from_utf8_lossy(&said);
-    assert!(said.starts_with("\0lipstream: model is damaged"), "{said}");
-    let report: Value =
-        serde_json::from_slice(&std::fs::read(folder.join("report.json")).expect("the report"))
-            .expect("JSON");
-    // A second of darkness, two blinks, four changes.
-    assert!(report["blinks"].as_u64() >= Some(4), "{report}");
+fn another_model_runs_without_a_new_program() {
+    let folder = common::folder("pico-other-uf2");
+    let tables = other_tables();
+    std::fs::write(folder.join("other.tables"), &tables).expect("write the tables");
+    let path = folder.join("other.tables");
+    let words = ["--model", path.to_str().expect("an ordinary name")];
+    let file = uf2(&folder, "other.uf2", &words);
+    let other = AnyModel::new_checked(&tables).expect("a model");
+    assert_ne!(other.head().id(), model().head().id());
+    let samples = &common::hello()[..LENGTH / 2];
+    let job = json!({ "events": [], "flash": [flashed(), file] });
+    let said = run_with(&other, "pico-other", samples, job);
+    let settings = StreamSettings::of(Profile::Standard);
+    assert_eq!(said.usb[0], ToHost::Hello(expected_hello(&other, settings)));
+    let expected = host(&other, settings, samples);
+    let came = frames(&said.usb);
+    assert!(came.len() >= expected.len() - 10, "{} frames", came.len());
+    let count = came.len().min(expected.len() - 10);
+    assert_same(&came[..count], &expected[..count]);
+    assert_eq!(notices(&said.usb), [NO_SERVOS]);
+    // The shipped model gives others.
+    assert_ne!(came[..count], host(&model(), settings, samples)[..count]);
+}
+
+/// One that got damaged on its way, or an older one's place: refused in words on both ports, and the built-in one runs.
+#[test]
+fn a_damaged_model_leaves_the_built_in_one_running() {
+    let folder = common::folder("pico-damaged-uf2");
+    let path = folder.join("other.tables");
+    std::fs::write(&path, other_tables()).expect("write the tables");
+    let words = ["--model", path.to_str().expect("an ordinary name")];
+    let file = uf2(&folder, "other.uf2", &words);
+    let mut blocks = std::fs::read(&file).expect("the file");
+    // A bit of the 300th page.
+    blocks[300 * 512 + 100] ^= 1;
+    std::fs::write(&file, blocks).expect("write the file");
+    let samples = &common::hello()[..LENGTH / 4];
+    let job = json!({ "events": [], "flash": [flashed(), file] });
+    let said = run_with(&model(), "pico-damaged", samples, job);
+    let settings = StreamSettings::of(Profile::Standard);
+    let expected = host(&model(), settings, samples);
+    for messages in [&said.usb, &said.uart] {
+        assert_eq!(messages[0], ToHost::Hello(expected_hello(&model(), settings)));
+        let words = notices(messages);
+        assert_eq!(words[1..], [NO_SERVOS]);
+        let refusal = "the model in flash is refused, the built-in one runs: model is damaged: checksum ";
+        assert!(words[0].starts_with(refusal), "{words:?}");
+        let came = frames(messages);
+        let count = expected.len() - 10;
+        assert_same(&came[..count], &expected[..count]);
+    }
+}
+
+/// The built-in model damaged, and no other: words, and the LED's code instead of the heartbeat.
+#[test]
+fn a_damaged_program_ends_visibly() {
+    let mut blocks = std::fs::read(flashed()).expect("the file");
+    let at = address("__model_built_in") as usize + 1000 - 0x1000_0000;
+    blocks[at / 256 * 512 + 32 + at % 256] ^= 1;
+    let file = common::folder("pico-broken-uf2").join("broken.uf2");
+    std::fs::write(&file, blocks).expect("write the file");
+    let job = json!({ "events": [], "flash": [file], "milliseconds": 1500 });
+    let said = run_with(&model(), "pico-broken", &[0; 16], job);
+    let words = notices(&said.uart);
+    assert!(
+        words.len() == 1 && words[0].starts_with("model is damaged"),
+        "{words:?}"
+    );
+    // Darkness, then the first blinks.
+    assert!(said.report["blinks"].as_u64() >= Some(2), "{}", said.report);
+}
+
+/// Half-words that take the place of the handler that counts the microphone's sound, and run within 16 ms.
+fn broken_handler(halves: &[u16]) -> Value {
+    let start = address("DMA_IRQ_0") & !1;
+    let places = (start..).step_by(2);
+    json!({ "ms": 100, "write": places.zip(halves).collect::<Vec<_>>() })
+}
+
+/// The board comes back by itself, and then gives the host's bytes from the first on. What it said until then, and the emulator's word for why.
+fn comes_back(name: &str, halves: &[u16]) -> (Vec<ToHost>, Value) {
+    let samples = &common::hello()[..LENGTH / 4];
+    let job = json!({ "events": [broken_handler(halves)], "restarts": 1 });
+    let folder = emulate(name, samples, job);
+    let report = std::fs::read(folder.join("report.json")).expect("the report");
+    let report: Value = serde_json::from_slice(&report).expect("the report");
+    let starts = report["starts"].as_array().expect("a list");
+    assert_eq!(starts.len(), 1, "{report}");
+    let expected = host(&model(), StreamSettings::of(Profile::Standard), samples);
+    let mut before = Vec::new();
+    for port in ["usb", "uart"] {
+        let wire = std::fs::read(folder.join(format!("{port}.wire"))).expect("what was sent");
+        let (old, new) = wire.split_at(starts[0][port].as_u64().expect("a number") as usize);
+        let read = |bytes: &[u8]| {
+            let mut messages = Vec::new();
+            let mut link = Link::new(None);
+            link.push(bytes, |message| messages.push(message))
+                .expect("our own protocol");
+            messages
+        };
+        before = read(old);
+        assert!(frames(&before).len() < 20, "{port} went on");
+        let came = frames(&read(new));
+        let count = expected.len() - 10;
+        assert_same(&came[..count], &expected[..count]);
+    }
+    (before, starts[0].clone())
+}
+
+/// `wfi` for ever: the watchdog, within its second.
+#[test]
+fn a_program_that_hangs_is_started_anew() {
+    let (_, start) = comes_back("pico-hangs", &[0xbf30, 0xe7fd]);
+    assert_eq!(
+        (&start["why"], &start["lockedUp"]),
+        (&json!("watchdog"), &json!(false))
+    );
+    let ms = start["ms"].as_f64().expect("a number");
+    assert!(
+        (1300.0..1700.0).contains(&ms),
+        "0.3 s of settling, 0.1 s of sound, a second: {ms}"
+    );
+}
+
+/// `push {r0-r7, lr}`, again and again: the stack leaves the RAM instead of growing into what others keep there, the processor locks up,
+/// and the watchdog starts it anew.
+#[test]
+fn a_stack_that_overflows_starts_the_board_anew() {
+    let (_, start) = comes_back("pico-overflow", &[0xb5ff, 0xe7fd]);
+    assert_eq!(
+        (&start["why"], &start["lockedUp"]),
+        (&json!("watchdog"), &json!(true))
+    );
+}
+
+/// `udf`: words on the UART that say where, the LED's code, and a new start by the program itself.
+#[test]
+fn a_hard_fault_ends_visibly_and_starts_the_board_anew() {
+    let (before, start) = comes_back("pico-fault", &[0xde00]);
+    assert_eq!(start["why"], "program");
+    let place = format!("hard fault at {:#x}", address("DMA_IRQ_0") & !1);
+    assert_eq!(notices(&before), [NO_SERVOS, &place]);
+}
+
+/// A program on the host that opens and closes the port, over and over: the other port's frames are all there, and what comes while it is open
+/// are whole frames of the same sound.
+#[test]
+fn a_host_that_comes_and_goes_changes_nothing() {
+    let mut samples = common::hello()[..LENGTH].to_vec();
+    let events: Vec<Value> = (0..100)
+        .map(|i| json!({ "ms": 20 + 12 * i, "open": i % 2 == 1 }))
+        .collect();
+    let said = run("pico-comes-and-goes", &samples, &events);
+    samples.extend([0; 1600]);
+    let expected = host(&model(), StreamSettings::of(Profile::Standard), &samples);
+    let uart = frames(&said.uart);
+    assert!(uart.len() >= LENGTH / 160, "{} frames", uart.len());
+    assert_same(&uart, &expected[..uart.len()]);
+    let usb = frames(&said.usb);
+    assert!(usb.len() > 20 && usb.len() < uart.len(), "{} frames", usb.len());
+    assert!(usb.iter().all(|frame| expected.contains(frame)));
+    let status = last_status(&said.uart);
+    assert_eq!((status.overruns, status.dropped, status.unknown), (0, 0, 0));
+    assert_eq!(said.report["starts"], json!([]));
 }

@@ -1,7 +1,7 @@
 //! Pulses for servos as they leave the boards, measured at the Pico's pins and read off the emulated board's line, against what the core asks for with the same
 //! sound.
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use lipstream::link::Link;
 use lipstream::opening::OpeningReader;
@@ -15,12 +15,11 @@ use serde_json::{Value, json};
 use crate::common;
 use crate::common::build::build_firmware;
 use crate::common::qemu::run_on_file_with;
-use crate::pico::{emulate, model};
+use crate::pico::{emulate, flashed, model, notices, other_tables, uf2};
 
 /// Speech for the slow start of three servos, and for what moves them then.
 const LENGTH: usize = 30_000;
-/// Where the calibration lies in flash (`memory.x`).
-const PICO_SERVOS: usize = 0x1018_0000;
+/// Where the calibration lies in the emulated board's flash (`memory.x`).
 const MPS2_SERVOS: usize = 0x10_0000;
 
 /// A jaw, the width, and a tongue by visemes, for the shipped model.
@@ -85,9 +84,16 @@ fn wanted(model: &AnyModel, calibration: &Calibration, samples: &[i16]) -> Vec<W
     hops.collect()
 }
 
-/// The table as bytes for the emulator's flash.
-fn in_flash(calibration: &Calibration) -> Vec<(usize, u8)> {
-    (PICO_SERVOS..).zip(calibration.to_bytes()).collect()
+/// The file by which `lipstream flash` writes the table, in a folder of this name.
+fn flashed_table(name: &str, calibration: &Calibration) -> PathBuf {
+    let folder = common::folder(name);
+    let table = folder.join("servos.table");
+    std::fs::write(&table, calibration.to_bytes()).expect("write the table");
+    uf2(
+        &folder,
+        "servos.uf2",
+        &["--servos", table.to_str().expect("an ordinary name")],
+    )
 }
 
 /// A pulse at a pin, µs.
@@ -150,11 +156,22 @@ fn is_of_hops(pins: &BTreeMap<u8, Vec<Pulse>>, hops: &[Wanted], first: usize) ->
     Ok(compared)
 }
 
+/// What the board said by a port.
+fn messages(folder: &Path, port: &str) -> Vec<ToHost> {
+    let mut messages = Vec::new();
+    let wire = std::fs::read(folder.join(port)).expect("what was sent");
+    Link::new(Some(model().head().id()))
+        .push(&wire, |message| messages.push(message))
+        .expect("our own protocol and model");
+    messages
+}
+
 #[test]
 fn the_picos_pins_make_the_cores_pulses() {
     let calibration = calibration(Driver::Pins);
     let mut samples = common::hello()[..LENGTH].to_vec();
-    let job = json!({ "events": [], "flash": in_flash(&calibration) });
+    let file = flashed_table("pico-servos-uf2", &calibration);
+    let job = json!({ "events": [], "flash": [flashed(), file] });
     let folder = emulate("pico-servos", &samples, job);
     samples.extend([0; 1600]);
     let hops = wanted(&model(), &calibration, &samples);
@@ -178,9 +195,10 @@ fn the_picos_pins_make_the_cores_pulses() {
 /// A hard fault in the middle of it: the pulses end with their period, and the board says what happened.
 #[test]
 fn a_fault_lets_the_picos_servos_go() {
+    let file = flashed_table("pico-servos-fault-uf2", &calibration(Driver::Pins));
     let job = json!({
         "events": [{ "ms": 300, "fault": true }],
-        "flash": in_flash(&calibration(Driver::Pins)),
+        "flash": [flashed(), file],
         "milliseconds": 900,
     });
     let folder = emulate("pico-servos-fault", &common::hello()[..8_000], job);
@@ -197,35 +215,38 @@ fn a_fault_lets_the_picos_servos_go() {
         jaw.iter().all(|pulse| (pulse.high - 1_000.0).abs() < 0.02),
         "{jaw:?}"
     );
-    let said = std::fs::read(folder.join("uart.wire")).expect("what was sent");
-    assert!(String::from_utf8_lossy(&said).contains("lipstream: hard fault at 0x"));
+    let said = messages(&folder, "uart.wire");
+    let words = notices(&said);
+    assert!(
+        words.len() == 1 && words[0].starts_with("hard fault at 0x"),
+        "{words:?}"
+    );
 }
 
 /// A calibration that is damaged in flash: no pulses, words, and the mouth goes on.
 #[test]
 fn a_damaged_calibration_leaves_the_picos_servos_off() {
-    let mut flash = in_flash(&calibration(Driver::Pins));
-    flash[30].1 ^= 1;
+    let file = flashed_table("pico-servos-damaged-uf2", &calibration(Driver::Pins));
+    let mut blocks = std::fs::read(&file).expect("the file");
+    // Byte 30 of the table, behind the 32 that begin a block.
+    blocks[32 + 30] ^= 1;
+    std::fs::write(&file, blocks).expect("write the file");
     let folder = emulate(
         "pico-servos-damaged",
         &common::hello()[..4_000],
-        json!({ "events": [], "flash": flash }),
+        json!({ "events": [], "flash": [flashed(), file] }),
     );
     assert!(pulses(&folder).is_empty());
-    let mut messages = Vec::new();
-    let wire = std::fs::read(folder.join("usb.wire")).expect("what was sent");
-    Link::new(Some(model().head().id()))
-        .push(&wire, |message| messages.push(message))
-        .expect("our own protocol and model");
+    let messages = messages(&folder, "usb.wire");
     let ToHost::Notice(notice) = &messages[1] else {
         panic!("{:?}", &messages[1]);
     };
     assert!(
         notice
-            .text
+            .words
             .starts_with("servos stay off: a damaged servo calibration"),
         "{}",
-        notice.text
+        notice.words
     );
     assert!(
         messages
@@ -234,6 +255,40 @@ fn a_damaged_calibration_leaves_the_picos_servos_off() {
             .count()
             > 20
     );
+}
+
+/// A damaged model and a calibration for another: both are said, one after the other, and the built-in model runs without servos.
+#[test]
+fn a_refused_model_and_refused_servos_are_both_said() {
+    let folder = common::folder("pico-both-refused-uf2");
+    let tables = other_tables();
+    std::fs::write(folder.join("other.tables"), &tables).expect("write the tables");
+    let path = folder.join("other.tables");
+    let words = ["--model", path.to_str().expect("an ordinary name")];
+    let other = uf2(&folder, "other.uf2", &words);
+    let mut blocks = std::fs::read(&other).expect("the file");
+    blocks[300 * 512 + 100] ^= 1;
+    std::fs::write(&other, blocks).expect("write the file");
+    let id = AnyModel::new_checked(&tables).expect("a model").head().id();
+    let reader = OpeningReader::shipped()
+        .expect("the shipped model")
+        .expect("a mouth");
+    let scales: Vec<f32> = model().head().parameter_scales().collect();
+    let calibration = calibration(Driver::Pins).reading(reader.read_out(id, &scales));
+    let servos = flashed_table("pico-both-servos-uf2", &calibration);
+    let folder = emulate(
+        "pico-both-refused",
+        &common::hello()[..2_000],
+        json!({ "events": [], "flash": [flashed(), other, servos] }),
+    );
+    assert!(pulses(&folder).is_empty());
+    for port in ["usb.wire", "uart.wire"] {
+        let said = messages(&folder, port);
+        let words = notices(&said);
+        assert_eq!(words.len(), 2, "{words:?}");
+        assert!(words[0].starts_with("the model in flash is refused"), "{words:?}");
+        assert!(words[1].starts_with("servos stay off"), "{words:?}");
+    }
 }
 
 /// The emulated board says its servos' pulses on its second UART.

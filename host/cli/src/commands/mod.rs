@@ -21,6 +21,7 @@ mod evaluate_mouth;
 mod export;
 mod faces;
 mod features;
+mod flash;
 mod folds;
 mod manual;
 mod mos;
@@ -59,6 +60,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Export(export::Args),
     Features(features::Args),
+    Flash(flash::Args),
     Folds(folds::Args),
     Man(manual::Man),
     Mos(mos::Args),
@@ -94,6 +96,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Features(args) => features::run(args),
+        Command::Flash(args) => flash::run(args),
         Command::Folds(args) => folds::run(args),
         Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
