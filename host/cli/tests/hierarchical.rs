@@ -208,7 +208,7 @@ fn a_drawn_head_learns_to_speak() {
             "{what}: {own} {mean}"
         );
     }
-    let said = refuse(root, &["evaluate", "features", "-m", "m.safetensors"]);
+    let said = refuse(root, "evaluate features -m m.safetensors");
     assert!(said.contains("--also"), "{said}");
 
     // Somebody who speaks at another level: a voice that is adapted to is drawn otherwise.
@@ -230,72 +230,40 @@ fn a_drawn_head_learns_to_speak() {
     };
     assert_ne!(bytes(&["--adapt", "level"]), pictures.stdout);
     assert_ne!(bytes(&["--adapt", "linear"]), bytes(&["--adapt", "level"]));
-    let said = refuse(
-        root,
-        &[
-            "render",
-            "features/wav/clip15.wav",
-            "--adapt",
-            "level",
-            "-o",
-            "f.mp4",
-        ],
-    );
+    let said = refuse(root, "render features/wav/clip15.wav --adapt level -o f.mp4");
     assert!(said.contains("--adapt is of hierarchical models"), "{said}");
 
     // A video with its sound, to a file.
-    let said = succeed_words(
-        root,
-        &[
-            "render",
-            "features/wav/clip15.wav",
-            "-m",
-            "m.safetensors",
-            "-o",
-            "f.mp4",
-        ],
-    );
+    let said = succeed_words(root, "render features/wav/clip15.wav -m m.safetensors -o f.mp4");
     assert!(said.contains("65 pictures of 384×384"), "{said}");
     for (words, wanted) in [
+        ("render p.npy -m m.safetensors -o f.mp4", "moved by speech"),
         (
-            ["render", "p.npy", "-m", "m.safetensors", "-o", "f.mp4"],
-            "moved by speech",
-        ),
-        (
-            [
-                "render",
-                "features/wav/clip15.wav",
-                "-m",
-                "m.safetensors",
-                "-o",
-                "f.html",
-            ],
+            "render features/wav/clip15.wav -m m.safetensors -o f.html",
             "write a video",
         ),
         (
-            [
-                "convert",
-                "features/wav/clip15.wav",
-                "-m",
-                "m.safetensors",
-                "-o",
-                "p.npy",
-            ],
+            "convert features/wav/clip15.wav -m m.safetensors -o p.npy",
             "is a hierarchical model",
         ),
     ] {
-        let said = refuse(root, &words);
+        let said = refuse(root, words);
         assert!(said.contains(wanted), "{said}");
     }
 }
 
-/// What a run says that refuses.
-fn refuse(root: &Path, words: &[&str]) -> String {
-    one_line(run_with_programs(root, words))
+/// The words of a command, none of which has a blank in it.
+fn split(command: &str) -> Vec<&str> {
+    command.split_whitespace().collect()
 }
 
-fn succeed_words(root: &Path, words: &[&str]) -> String {
-    let ran = run_with_programs(root, words);
+/// What a run of this command says that refuses.
+fn refuse(root: &Path, command: &str) -> String {
+    one_line(run_with_programs(root, &split(command)))
+}
+
+fn succeed_words(root: &Path, command: &str) -> String {
+    let ran = run_with_programs(root, &split(command));
     assert!(ran.status.success(), "{}", text(&ran.stderr));
     text(&ran.stdout)
 }
@@ -305,29 +273,9 @@ fn what_cannot_be_trained_is_said_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
     heads(root);
-    let said = refuse(
-        root,
-        &[
-            "train",
-            "features",
-            "--system",
-            "hierarchical",
-            "-o",
-            "m.safetensors",
-        ],
-    );
+    let said = refuse(root, "train features --system hierarchical -o m.safetensors");
     assert!(said.contains("--landmarks"), "{said}");
-    let said = refuse(
-        root,
-        &[
-            "train",
-            "features",
-            "--landmarks",
-            "landmarks",
-            "-o",
-            "m.safetensors",
-        ],
-    );
+    let said = refuse(root, "train features --landmarks landmarks -o m.safetensors");
     assert!(said.contains("--system hierarchical"), "{said}");
     let refused = run_with_programs(
         root,
@@ -346,7 +294,7 @@ fn what_cannot_be_trained_is_said_in_one_line() {
     let with = |at: usize, word: &'static str| {
         let mut words = TRAIN;
         words[at] = word;
-        refuse(root, &words)
+        one_line(run_with_programs(root, &words))
     };
     let said = with(7, "landmarks");
     assert!(said.contains("landmarks holds no"), "{said}");

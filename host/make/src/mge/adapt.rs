@@ -41,21 +41,13 @@ const PENALTY: f64 = 0.01;
 pub fn settings(of: &RecurrentModel, base: &MgeTrainSettings) -> MgeTrainSettings {
     let shape = &of.parameters.shape;
     let mut settings = MgeTrainSettings {
-        context: shape.context.clone(),
-        inputs: shape.inputs,
         memory: shape.memory,
-        feedback: shape.feedback,
-        maps: shape.maps,
-        rates: shape.rates,
         audio_entropy: 0.0,
         visual_entropy: 0.0,
         heard_entropy: 0.0,
-        ..base.clone()
+        ..base.of_model(shape)
     };
     settings.rule.only = Some(MOUTH);
-    settings
-        .look_aheads
-        .retain(|frames| *frames <= shape.context.look_ahead());
     settings
 }
 

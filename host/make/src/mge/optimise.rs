@@ -38,6 +38,15 @@ impl Default for Rule {
 }
 
 impl Rule {
+    /// This rule over a run of so many steps, of which at most a quarter are warm-up.
+    pub(super) fn over(&self, steps: usize) -> Self {
+        Self {
+            steps,
+            warm_up: self.warm_up.min(steps / 4),
+            ..self.clone()
+        }
+    }
+
     /// Share of the highest rate at `step`.
     pub fn schedule(&self, step: usize) -> f32 {
         if step < self.warm_up {

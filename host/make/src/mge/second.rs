@@ -60,19 +60,7 @@ impl Learnt for Gated {
 
 /// The settings of [`train`] for a second memory of as many numbers as `base` says, beside `model`.
 pub fn settings(model: &RecurrentModel, base: &MgeTrainSettings) -> MgeTrainSettings {
-    let shape = &model.parameters.shape;
-    let mut settings = MgeTrainSettings {
-        context: shape.context.clone(),
-        inputs: shape.inputs,
-        feedback: shape.feedback,
-        maps: shape.maps,
-        rates: shape.rates,
-        ..base.clone()
-    };
-    settings
-        .look_aheads
-        .retain(|frames| *frames <= shape.context.look_ahead());
-    settings
+    base.of_model(&model.parameters.shape)
 }
 
 /// Gives `model` a second memory of `base.memory` numbers, trained on the clips that it was trained on. One that it has is replaced.
@@ -127,11 +115,7 @@ pub fn train_on(
     let projection = model.parameters.matrix(Group::Projection);
     let judge = Judge::new(&trainer, model)?;
     let steps = settings.passes * trainer.steps_per_pass();
-    let rule = Rule {
-        steps,
-        warm_up: settings.rule.warm_up.min(steps / 4),
-        ..settings.rule.clone()
-    };
+    let rule = settings.rule.over(steps);
     let run = fingerprint(settings, data)? ^ u64::from(projection.sum().to_bits());
     let empty = Gated::zeros(GatedShape {
         inputs: settings.inputs,

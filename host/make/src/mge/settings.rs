@@ -4,7 +4,7 @@ use super::optimise::Rule;
 use super::start::StartSettings;
 use crate::error::{Error, Result, bail};
 use lipstream::kinds::recurrent::context::Context;
-use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
+use lipstream::kinds::recurrent::parameters::{Feedback, Gate, Shape};
 
 /// Choices of a training run.
 #[derive(Clone, Debug, PartialEq)]
@@ -121,6 +121,22 @@ impl Default for MgeTrainSettings {
 }
 
 impl MgeTrainSettings {
+    /// These for a model of `shape` that is trained already: it hears as it does, what learns has its own number of memory numbers, and look-aheads beyond its context are left out.
+    pub(super) fn of_model(&self, shape: &Shape) -> Self {
+        let mut settings = Self {
+            context: shape.context.clone(),
+            inputs: shape.inputs,
+            feedback: shape.feedback,
+            maps: shape.maps,
+            rates: shape.rates,
+            ..self.clone()
+        };
+        settings
+            .look_aheads
+            .retain(|frames| *frames <= shape.context.look_ahead());
+        settings
+    }
+
     /// Refuses in words what cannot be trained with.
     pub fn check(&self) -> Result<()> {
         self.context.check().map_err(Error::other)?;

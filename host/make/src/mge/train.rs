@@ -20,7 +20,7 @@ use super::batch::Trainer;
 use super::checkpoint::{self, Best};
 use super::data::{self, Beside, Clip, Data};
 use super::judge::{Judgement, judge};
-use super::optimise::{Optimiser, Rule};
+use super::optimise::Optimiser;
 use super::settings::MgeTrainSettings;
 use super::start::{Seen, start};
 use crate::em::source::in_order;
@@ -105,11 +105,7 @@ pub(super) fn run(
         weights: weights(&data.deviation, settings.error_power),
     };
     let steps = settings.passes * trainer.steps_per_pass();
-    let rule = Rule {
-        steps,
-        warm_up: settings.rule.warm_up.min(steps / 4),
-        ..settings.rule.clone()
-    };
+    let rule = settings.rule.over(steps);
     let fingerprint = fingerprint(settings, data)?;
     let found = match checkpoint_path {
         Some(path) => checkpoint::read(path, &Parameters::zeros(shape), fingerprint)?,

@@ -15,6 +15,7 @@ use lipstream::kinds::recurrent::parameters::{Feedback, GROUPS, Gate, Group};
 use lipstream::kinds::recurrent::settle::settle;
 use lipstream::kinds::recurrent::step::Net;
 use lipstream::phones::Phone;
+use lipstream::progress::Progress;
 use lipstream::synthetic::{self, Sizes};
 use lipstream_core::kinds::Convert;
 use lipstream_core::kinds::recurrent::Converter;
@@ -363,33 +364,39 @@ fn threads_do_not_change_a_byte() {
     assert!(one == bytes(1));
 }
 
+/// Trains twice with this checkpoint, the second time from where a run that is killed when it says `killed` has left off: it says so, and gives the same model.
+fn goes_on_to_the_same(
+    checkpoint: &Path,
+    [killed, going_on]: [&str; 2],
+    train: impl Fn(&dyn Progress) -> RecurrentModel,
+) {
+    let early = checkpoint.with_extension("early");
+    let whole = train(&|line: &str| {
+        if line.starts_with(killed) {
+            std::fs::copy(checkpoint, &early).unwrap();
+        }
+    });
+    std::fs::copy(&early, checkpoint).unwrap();
+    let went_on = AtomicBool::new(false);
+    let again = train(&|line: &str| {
+        if line.starts_with(going_on) {
+            went_on.store(true, Ordering::Relaxed);
+        }
+    });
+    assert!(went_on.into_inner());
+    assert!(whole == again);
+}
+
 #[test]
 fn an_interrupted_run_goes_on_to_the_same_model() {
     let scratch = tempfile::tempdir().unwrap();
-    let (checkpoint, early) = (
-        scratch.path().join("m.checkpoint"),
-        scratch.path().join("early.checkpoint"),
-    );
+    let checkpoint = scratch.path().join("m.checkpoint");
     let parent = parent();
     let data = data(&parent);
     let settings = MgeTrainSettings { passes: 4, ..small() };
-    let whole = train_on(&data, &parent, &settings, Some(&checkpoint), &|line: &str| {
-        // What a run that is killed in its third pass leaves behind.
-        if line.starts_with("pass 3/") {
-            std::fs::copy(&checkpoint, &early).unwrap();
-        }
-    })
-    .unwrap();
-    std::fs::copy(&early, &checkpoint).unwrap();
-    let went_on = AtomicBool::new(false);
-    let again = train_on(&data, &parent, &settings, Some(&checkpoint), &|line: &str| {
-        if line.starts_with("going on after step 8") {
-            went_on.store(true, Ordering::Relaxed);
-        }
-    })
-    .unwrap();
-    assert!(went_on.into_inner());
-    assert!(whole == again);
+    goes_on_to_the_same(&checkpoint, ["pass 3/", "going on after step 8"], |progress| {
+        train_on(&data, &parent, &settings, Some(&checkpoint), progress).unwrap()
+    });
 
     let other = MgeTrainSettings { seed: 2, ..settings };
     let error = train_on(&data, &parent, &other, Some(&checkpoint), &()).unwrap_err();

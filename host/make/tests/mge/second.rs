@@ -109,31 +109,14 @@ fn two_memories_say_more_than_one() {
 #[test]
 fn an_interrupted_second_memory_goes_on_and_other_clips_are_refused() {
     let scratch = tempfile::tempdir().unwrap();
-    let (checkpoint, early) = (
-        scratch.path().join("m.checkpoint"),
-        scratch.path().join("early.checkpoint"),
-    );
+    let checkpoint = scratch.path().join("m.checkpoint");
     let parent = parent();
     let data = data(&parent);
     let (model, mut settings) = first(&data, &parent);
     settings.passes = 3;
-    let whole = second::train_on(&data, &model, &settings, Some(&checkpoint), &|line: &str| {
-        // What a run that is killed in its second pass leaves behind.
-        if line.starts_with("pass 2/") {
-            std::fs::copy(&checkpoint, &early).unwrap();
-        }
-    })
-    .unwrap();
-    std::fs::copy(&early, &checkpoint).unwrap();
-    let went_on = AtomicBool::new(false);
-    let again = second::train_on(&data, &model, &settings, Some(&checkpoint), &|line: &str| {
-        if line.starts_with("going on after step") {
-            went_on.store(true, Ordering::Relaxed);
-        }
-    })
-    .unwrap();
-    assert!(went_on.into_inner());
-    assert!(whole == again);
+    goes_on_to_the_same(&checkpoint, ["pass 2/", "going on after step"], |progress| {
+        second::train_on(&data, &model, &settings, Some(&checkpoint), progress).unwrap()
+    });
 
     let mut other = model.clone();
     other.deviation[0] *= 1.5;
