@@ -173,16 +173,15 @@ pub fn train_on(
         }
     }
     let mut gated = best.parameters.trained();
-    gated.share = judge.share(&gated);
+    let said = judge.said(&gated);
+    gated.share = judge.share(&said);
     progress.say(&format!(
         "the parameters after pass {} are kept; the second memory has {:.1} of the mouth",
         best.pass, gated.share
     ));
     let ahead = settings.context.look_ahead();
     Ok(RecurrentModel {
-        validation_amse: judge
-            .amse_at(&gated, gated.share, ahead)
-            .or(model.validation_amse),
+        validation_amse: judge.amse_at(&said, gated.share, ahead).or(model.validation_amse),
         provenance: format!(
             "beside it a second memory, a gated recurrent unit of {} numbers trained by itself; {} clips with video, {} with sound only; {} passes, seed {}; \
              the first: {}",
@@ -529,21 +528,19 @@ impl<'a> Judge<'a> {
         format!("validation {}", said.join("; "))
     }
 
-    /// The share with which the mean is nearest to the true mouths.
-    fn share(&self, gated: &Gated) -> f32 {
+    /// The share of what was `said` with which the mean is nearest to the true mouths.
+    fn share(&self, said: &[Array2<f32>]) -> f32 {
         if self.clips.is_empty() {
             return EVEN;
         }
-        let said = self.said(gated);
-        let of = |share: &f32| self.score(&said, *share, None).amse();
+        let of = |share: &f32| self.score(said, *share, None).amse();
         SHARES
             .into_iter()
             .min_by(|a, b| of(a).total_cmp(&of(b)))
             .unwrap_or(EVEN)
     }
 
-    fn amse_at(&self, gated: &Gated, share: f32, ahead: usize) -> Option<f64> {
-        let said = self.said(gated);
-        (!self.clips.is_empty()).then(|| self.score(&said, share, Some(ahead)).amse())
+    fn amse_at(&self, said: &[Array2<f32>], share: f32, ahead: usize) -> Option<f64> {
+        (!self.clips.is_empty()).then(|| self.score(said, share, Some(ahead)).amse())
     }
 }
