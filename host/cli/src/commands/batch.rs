@@ -2,13 +2,13 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::{Context as _, Result, bail};
 use lipstream::progress::Progress;
 use lipstream_media::sound;
 use rayon::prelude::*;
 
+use super::answer::Done;
 use super::streams::{ending, is_standard};
 use crate::progress::Terminal;
 
@@ -178,38 +178,48 @@ fn apart(jobs: &[Job]) -> Result<()> {
 }
 
 /// Does `one` for every job, as many at a time as there are processors or `threads`. A job that fails is said by `complain` and the others are done; `told` hears after each how many are.
+/// Gives what became of each.
 ///
 /// # Errors
 ///
-/// How many failed, if one did.
+/// That no threads can be started.
 pub(crate) fn work(
     jobs: &[Job],
     threads: Option<usize>,
     progress: &Terminal,
     told: impl Fn(usize) + Sync,
     complain: impl Fn(&str) + Sync,
-    one: impl Fn(&Job) -> Result<()> + Sync,
-) -> Result<()> {
+    one: impl Fn(&Job) -> Result<Done> + Sync,
+) -> Result<Vec<Result<Done>>> {
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads.unwrap_or(0))
         .build();
     let pool = pool.context("cannot start threads")?;
-    let (failed, done) = (AtomicUsize::new(0), Mutex::new(0));
+    let done = Mutex::new(0);
     progress.step("sounds", 0, jobs.len());
-    pool.install(|| {
-        jobs.par_iter().for_each(|job| {
-            if let Err(error) = one(job) {
-                failed.fetch_add(1, Ordering::Relaxed);
-                complain(&format!("{error:#}"));
-            }
-            let mut done = done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            *done += 1;
-            progress.step("sounds", *done, jobs.len());
-            told(*done);
-        });
-    });
-    match failed.into_inner() {
+    let of_job = |job| {
+        let outcome = one(job);
+        if let Err(error) = &outcome {
+            complain(&format!("{error:#}"));
+        }
+        let mut done = done.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        *done += 1;
+        progress.step("sounds", *done, jobs.len());
+        told(*done);
+        outcome
+    };
+    Ok(pool.install(|| jobs.par_iter().map(of_job).collect()))
+}
+
+/// # Errors
+///
+/// How many sounds failed, if one did.
+pub(crate) fn all_done(outcomes: &[Result<Done>]) -> Result<()> {
+    match outcomes.iter().filter(|outcome| outcome.is_err()).count() {
         0 => Ok(()),
-        failed => bail!("{failed} of {} sounds failed, the others are written", jobs.len()),
+        failed => bail!(
+            "{failed} of {} sounds failed, the others are written",
+            outcomes.len()
+        ),
     }
 }

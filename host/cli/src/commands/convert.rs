@@ -10,12 +10,13 @@ use lipstream::session::Frame;
 use lipstream::time::{frame_count, seconds};
 use lipstream_core::{FRAME_SAMPLES, SAMPLE_RATE_HZ};
 use lipstream_live::recording::{Played, Recording};
+use serde_json::json;
 
+use super::answer::{Answer, Done};
 use super::batch::{self, Work};
 use super::choices;
 use super::cues::opening;
-use super::streams::{ending, hear, is_standard, keep_apart, name, open_sound, say, write};
-
+use super::streams::{ending, hear, is_standard, keep_apart, name, open_sound, write};
 use crate::progress::Terminal;
 
 /// Convert speech to mouth parameters
@@ -59,6 +60,8 @@ pub(crate) struct Args {
     /// Sounds that are worked on at once [default: as many as there are processors]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -70,13 +73,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
             keep_apart(&args.output, read.map(PathBuf::as_path))?;
             let format = match &args.format {
                 Some(format) => (*format).into(),
+                None if args.answer.wants_result(&args.output) => Format::Json,
                 None if is_standard(&args.output) => Format::Csv,
                 None => match Format::of_ending(&ending(&args.output)) {
                     Some(format) => format,
                     None => bail!("{}: write .npy, .csv or .json", args.output.display()),
                 },
             };
-            let what = match ending(&sound) == "stream" {
+            let done = match ending(&sound) == "stream" {
                 true => of_stream(&args, &sound, format)?,
                 false => {
                     let engine = engine(&args)?;
@@ -84,14 +88,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
                     of_sound(&args, (&engine, opening), &sound, &args.output, format)?
                 }
             };
-            say(&args.output, &what);
+            args.answer.tell(&args.output, &done);
         }
         Work::Many(jobs) => {
             let engine = engine(&args)?;
             let opening = needed_opening(&args, &engine, of_many)?;
             let progress = Terminal::default();
             let complain = |why: &str| progress.warn(&format!("lipstream: {why}"));
-            batch::work(
+            let outcomes = batch::work(
                 &jobs,
                 args.threads.map(usize::from),
                 &progress,
@@ -99,10 +103,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 complain,
                 |job| {
                     let with = (&engine, opening.clone());
-                    of_sound(&args, with, &job.input, &job.output, of_many).map(drop)
+                    of_sound(&args, with, &job.input, &job.output, of_many)
                 },
             )?;
-            say(&args.output, &format!("{} files", jobs.len()));
+            args.answer.tell_many(&args.output, &jobs, &outcomes);
+            batch::all_done(&outcomes)?;
         }
     }
     Ok(())
@@ -125,14 +130,14 @@ fn needed_opening(args: &Args, engine: &Engine, format: Format) -> Result<Option
     }
 }
 
-/// Writes the numbers of one sound; gives what is to be said of them.
+/// Writes the numbers of one sound.
 fn of_sound(
     args: &Args,
     (engine, opening): (&Engine, Option<OpeningReader>),
     sound: &Path,
     output: &Path,
     format: Format,
-) -> Result<String> {
+) -> Result<Done> {
     let mut heard = open_sound(sound)?;
     let with = RunSettings {
         lag: args.lag,
@@ -163,16 +168,15 @@ fn of_sound(
         count = hear(session, &samples, &mut heard, |frame| Ok(numbers.frame(frame)?))?;
         Ok(numbers.finish()?)
     })?;
-    Ok(format!(
-        "{} frames of {} parameters, {:.2} s",
-        frame_count(count),
-        engine.n_parameters(),
-        seconds(count)
+    let (frames, width, seconds) = (frame_count(count), engine.n_parameters(), seconds(count));
+    Ok(Done::new(
+        format!("{frames} frames of {width} parameters, {seconds:.2} s"),
+        json!({ "frames": frames, "parameters": width, "seconds": seconds }),
     ))
 }
 
 /// The numbers of a recorded stream, 100 frames a second from its first frame on.
-fn of_stream(args: &Args, stream: &Path, format: Format) -> Result<String> {
+fn of_stream(args: &Args, stream: &Path, format: Format) -> Result<Done> {
     let settings = [
         args.lag.is_some(),
         args.beam.is_some(),
@@ -211,10 +215,14 @@ fn of_stream(args: &Args, stream: &Path, format: Format) -> Result<String> {
         }
         Ok(numbers.finish()?)
     })?;
-    Ok(format!(
-        "{} of {width} parameters{}",
-        told(&played),
-        anew(&played)
+    Ok(Done::new(
+        format!("{} of {width} parameters{}", told(&played), anew(&played)),
+        json!({
+            "frames": played.frames,
+            "parameters": width,
+            "between": played.between,
+            "began_anew": played.began_anew,
+        }),
     ))
 }
 

@@ -11,10 +11,11 @@ use lipstream::time;
 use lipstream_make::align::dialog::Dialog;
 use serde_json::json;
 
+use super::answer::{Answer, Done};
 use super::batch::{self, Work};
 use super::choices;
 use super::cues_events::{Events, Level};
-use super::streams::{ending, hear_telling, is_standard, keep_apart, name, open_sound, say, write};
+use super::streams::{ending, hear_telling, is_standard, keep_apart, name, open_sound, write};
 use crate::progress::{Terminal, is_quiet};
 
 /// Write mouth shapes over time for animation programs
@@ -81,6 +82,15 @@ pub(crate) struct Args {
     /// Arithmetic
     #[arg(long, value_enum, default_value_t = choices::Engine::Fixed)]
     engine: choices::Engine,
+    #[command(flatten)]
+    answer: Answer,
+}
+
+impl Args {
+    /// Whether anything is told but Rhubarb's messages.
+    fn tells(&self) -> bool {
+        self.answer.json || !self.machine_readable
+    }
 }
 
 /// Shapes that a character has besides the six basic ones.
@@ -163,6 +173,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
 fn format_of(args: &Args, is_folder: bool) -> String {
     match &args.format {
         Some(format) => format.to_lowercase(),
+        None if !is_folder && args.answer.wants_result(&args.output) => "json".to_owned(),
         None if is_folder || is_standard(&args.output) => match args.set {
             Some(_) => "csv".to_owned(),
             None => "tsv".to_owned(),
@@ -182,10 +193,10 @@ fn work(args: &Args, events: &Events) -> Result<()> {
             keep_apart(&args.output, read.map(PathBuf::as_path))?;
             let task = Task::new(args, &format_of(args, false))?;
             events.progress(0.0);
-            let what = task.make(&sound, &args.output, events, |part| events.progress(part))?;
+            let done = task.make(&sound, &args.output, events, |part| events.progress(part))?;
             events.progress(1.0);
-            if !args.machine_readable {
-                say(&args.output, &what);
+            if args.tells() {
+                args.answer.tell(&args.output, &done);
             }
         }
         Work::Many(_) if args.dialog.is_some() => {
@@ -203,21 +214,25 @@ fn work(args: &Args, events: &Events) -> Result<()> {
                     progress.warn(&format!("lipstream: {why}"));
                 }
             };
-            batch::work(
+            let outcomes = batch::work(
                 &jobs,
                 args.threads.map(usize::from),
                 &progress,
                 part,
                 complain,
                 |job| {
-                    let what = task.make(&job.input, &job.output, events, |_| {})?;
-                    events.say(Level::Info, &format!("{}: {what}", job.output.display()));
-                    Ok(())
+                    let done = task.make(&job.input, &job.output, events, |_| {})?;
+                    events.say(
+                        Level::Info,
+                        &format!("{}: {}", job.output.display(), done.words()),
+                    );
+                    Ok(done)
                 },
             )?;
-            if !args.machine_readable {
-                say(&args.output, &format!("{} files", jobs.len()));
+            if args.tells() {
+                args.answer.tell_many(&args.output, &jobs, &outcomes);
             }
+            batch::all_done(&outcomes)?;
         }
     }
     Ok(())
@@ -260,8 +275,8 @@ impl<'a> Task<'a> {
         })
     }
 
-    /// Writes the file of one sound; gives what is to be said of it.
-    fn make(&self, sound: &Path, output: &Path, events: &Events, part: impl FnMut(f64)) -> Result<String> {
+    /// Writes the file of one sound.
+    fn make(&self, sound: &Path, output: &Path, events: &Events, part: impl FnMut(f64)) -> Result<Done> {
         match &self.what {
             What::Cues(format, style, opening) => {
                 let (said, seconds) = self.shapes(sound, opening.as_ref(), events, part)?;
@@ -272,7 +287,10 @@ impl<'a> Task<'a> {
                 };
                 let text = cues::write_as(*format, &said, &file, style);
                 write(output, |file| Ok(file.write_all(text.as_bytes())?))?;
-                Ok(format!("{} mouth shapes, {seconds:.2} s", said.len()))
+                Ok(Done::new(
+                    format!("{} mouth shapes, {seconds:.2} s", said.len()),
+                    json!({ "cues": said.len(), "seconds": seconds }),
+                ))
             }
             What::Weights(table, set, opening) => {
                 let (mut rows, mut seconds) = (0, 0.0);
@@ -288,10 +306,15 @@ impl<'a> Task<'a> {
                     seconds = time::seconds(samples);
                     Ok(numbers.finish()?)
                 })?;
-                Ok(match self.args.rate {
+                let words = match self.args.rate {
                     None => format!("{rows} rows, {seconds:.2} s"),
                     Some(rate) => format!("{seconds:.2} s, {:.3} rows a second", rate.hz()),
-                })
+                };
+                let rate = self.args.rate.map_or(time::FRAME_RATE_HZ as f64, Rate::hz);
+                Ok(Done::new(
+                    words,
+                    json!({ "seconds": seconds, "rows_per_second": rate }),
+                ))
             }
         }
     }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use lipstream_core::SAMPLE_RATE_HZ;
 
+use super::answer::{self, Answer};
 use super::streams::file_name as name;
 use crate::progress::{Terminal, is_quiet};
 use lipstream::cues::{self, Format};
@@ -14,6 +15,7 @@ use lipstream::render::{self, Settings, page};
 use lipstream::shipped::SOUND;
 use lipstream::tensors::Tensors;
 use lipstream_media::{files, sound};
+use serde_json::json;
 
 /// Run the shipped model on the shipped speech: video, page, cues
 #[derive(Debug, clap::Args)]
@@ -27,6 +29,8 @@ pub(crate) struct Args {
     /// Other speech: WAV, FLAC, MP3, Ogg, M4A, WebM, AIFF and others
     #[arg(long)]
     wav: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -42,7 +46,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
     let space = MouthSpace::load(&tensors)?;
     let converted = engine.convert(&sound, &RunSettings::default())?;
     let folder = folder(args.output.as_deref())?;
-    write(&folder, &wav_name, &sound, &space, &converted)
+    let written = write(&folder, &wav_name, &sound, &space, &converted)?;
+    written.tell(args.answer);
+    Ok(())
 }
 
 /// Makes the folder; one that was not asked for by name may be a temporary one.
@@ -62,14 +68,46 @@ fn folder(asked: Option<&Path>) -> Result<PathBuf> {
     }
 }
 
-/// Video, page and cue files, and a line about each.
+/// What was written, and of the film its seconds, width and height.
+struct Written {
+    video: PathBuf,
+    page: PathBuf,
+    cues: Vec<PathBuf>,
+    seconds: f64,
+    size: (usize, usize),
+}
+
+impl Written {
+    fn tell(&self, answer: Answer) {
+        let (width, height) = self.size;
+        let cues = self.cues.iter().map(|path| path.display().to_string());
+        let cues = cues.collect::<Vec<_>>();
+        if answer.json {
+            let film = json!({ "seconds": self.seconds, "width": width, "height": height });
+            let files = json!({
+                "video": answer::path(&self.video), "page": answer::path(&self.page), "cues": cues, "film": film
+            });
+            println!("{files}");
+        } else if !is_quiet() {
+            println!(
+                "video  {}  ({:.1} s, {width}×{height}, with sound)",
+                self.video.display(),
+                self.seconds
+            );
+            println!("page   {}  (open it in a browser)", self.page.display());
+            println!("cues   {}", cues.join(" "));
+        }
+    }
+}
+
+/// Video, page and cue files.
 fn write(
     folder: &Path,
     wav_name: &str,
     sound: &[i16],
     space: &MouthSpace,
     converted: &Converted,
-) -> Result<()> {
+) -> Result<Written> {
     let stem = Path::new(wav_name)
         .file_stem()
         .unwrap_or_default()
@@ -100,19 +138,13 @@ fn write(
     for format in Format::ALL {
         let path = file(format.ending());
         files::write_bytes(&path, cues::write(format, &cues, wav_name).as_bytes())?;
-        cue_files.push(path.display().to_string());
+        cue_files.push(path);
     }
-    if is_quiet() {
-        return Ok(());
-    }
-    println!(
-        "video  {}  ({:.1} s, {}×{}, with sound)",
-        video.display(),
+    Ok(Written {
+        video,
+        page: html,
+        cues: cue_files,
         seconds,
-        rendered.width,
-        rendered.height
-    );
-    println!("page   {}  (open it in a browser)", html.display());
-    println!("cues   {}", cue_files.join(" "));
-    Ok(())
+        size: (rendered.width, rendered.height),
+    })
 }

@@ -10,8 +10,10 @@ use lipstream::time::seconds;
 use lipstream::{frontend, htk};
 use lipstream_make::evaluate::exchange;
 use lipstream_make::features::FeatureFolder;
+use serde_json::json;
 
-use super::streams::{ending, is_standard, keep_apart, name, read_sound, say, write};
+use super::answer::{Answer, Done};
+use super::streams::{ending, is_standard, keep_apart, name, read_sound, write};
 
 /// Write audio observations (MFCC_E_D_A) of a sound, or the features of a whole folder as .npy
 #[derive(Debug, clap::Args)]
@@ -34,6 +36,8 @@ pub(crate) struct Args {
     /// Feature folder whose training mean the causal mean starts from
     #[arg(long, value_name = "DIR", required_if_eq("norm", "causal"))]
     start: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -96,7 +100,12 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Format::Npy => npy_bytes(&observations)?,
     };
     write(&args.output, |file| Ok(file.write_all(&bytes)?))?;
-    say(&args.output, &format!("{} frames", observations.nrows()));
+    let (frames, width) = observations.dim();
+    let done = Done::new(
+        format!("{frames} frames"),
+        json!({ "frames": frames, "numbers": width }),
+    );
+    args.answer.tell(&args.output, &done);
     Ok(())
 }
 
@@ -114,7 +123,8 @@ fn export(args: &Args) -> Result<()> {
     }
     let folder = FeatureFolder::open(&args.sound)?;
     let clips = exchange::export(&folder, &args.output)?;
-    say(&args.output, &format!("{clips} clips"));
+    let done = Done::new(format!("{clips} clips"), json!({ "clips": clips }));
+    args.answer.tell(&args.output, &done);
     Ok(())
 }
 

@@ -3,7 +3,10 @@ use std::path::PathBuf;
 
 use anyhow::Result;
 use lipstream_make::features::FeatureFolder;
-use lipstream_make::folds::{self, FoldSettings};
+use lipstream_make::folds::{self, Fold, FoldSettings};
+use serde_json::{Value, json};
+
+use super::answer::{self, Answer};
 
 /// Hold out words: feature folders whose training clips never say some of the words, to measure a system on words that it has not learnt
 ///
@@ -26,6 +29,8 @@ pub(crate) struct Args {
     /// Seed of what is drawn
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -39,7 +44,15 @@ pub(crate) fn run(args: Args) -> Result<()> {
     };
     let folds = folds::draw(&folders[0], &settings)?;
     folds::write(&folds, &folders, &args.output)?;
-    for (n, fold) in folds.folds.iter().enumerate() {
+    if args.answer.json {
+        let of_fold = |fold: &Fold| json!({ "training_clips": fold.left, "without": fold.words });
+        let told: Vec<Value> = folds.folds.iter().map(of_fold).collect();
+        println!(
+            "{}",
+            json!({ "output": answer::path(&args.output), "folds": told })
+        );
+    }
+    for (n, fold) in folds.folds.iter().enumerate().filter(|_| !args.answer.json) {
         println!(
             "fold {}: {} training clips without {}",
             n + 1,

@@ -8,6 +8,7 @@ use crate::progress;
 
 mod advice;
 mod align;
+mod answer;
 mod batch;
 mod check;
 mod choices;

@@ -3,9 +3,11 @@ use std::path::PathBuf;
 
 use anyhow::{Result, bail};
 
-use super::streams::{ending, say};
+use super::answer::{Answer, Done, path};
+use super::streams::ending;
 use lipstream_make::mos::{self, Key, Made, Results, Settings};
 use lipstream_media::files;
+use serde_json::json;
 
 /// Ask people how good mouths are: a page with blinded clips, and tables of mean opinion scores
 #[derive(Debug, clap::Args)]
@@ -31,6 +33,8 @@ struct Make {
     /// Heading of the page and of its table
     #[arg(long, default_value = "How does this mouth speak?")]
     title: String,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Turn viewers' answers into tables with intervals and a ranking
@@ -54,6 +58,8 @@ struct Tables {
     /// Seed of the resamples
     #[arg(long, default_value_t = Settings::default().seed)]
     seed: u64,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 fn resamples(text: &str) -> Result<usize, String> {
@@ -79,16 +85,16 @@ fn make(args: &Make) -> Result<()> {
     let text = serde_json::to_string_pretty(&key)? + "\n";
     files::write_bytes(&beside, text.as_bytes())?;
     files::write_bytes(&args.output, html.as_bytes())?;
-    say(
-        &args.output,
-        &format!(
-            "{} clips of {} systems, {:.1} MB; the key, for you alone: {}",
-            key.names().len(),
-            key.systems.len(),
+    let (clips, systems) = (key.names().len(), key.systems.len());
+    let done = Done::new(
+        format!(
+            "{clips} clips of {systems} systems, {:.1} MB; the key, for you alone: {}",
             html.len() as f64 / 1e6,
             beside.display()
         ),
+        json!({ "key": path(&beside), "clips": clips, "systems": systems }),
     );
+    args.answer.tell(&args.output, &done);
     Ok(())
 }
 
@@ -109,6 +115,10 @@ fn tables(args: &Tables) -> Result<()> {
     };
     let text = mos::tables(&keys, &results, &settings)?;
     files::write_bytes(&args.output, text.as_bytes())?;
-    say(&args.output, &format!("{} files of answers", results.len()));
+    let done = Done::new(
+        format!("{} files of answers", results.len()),
+        json!({ "answers": results.len() }),
+    );
+    args.answer.tell(&args.output, &done);
     Ok(())
 }

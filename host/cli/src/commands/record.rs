@@ -12,7 +12,9 @@ use lipstream_live::driver::Driver;
 use lipstream_live::event::{Event, Health};
 use lipstream_live::hub::{Hub, Missed};
 use lipstream_live::recording::Recorder;
+use serde_json::json;
 
+use super::answer::{self, Answer};
 use super::sources::{self, SourceArgs};
 
 /// Record a live stream to a file, without a page
@@ -28,6 +30,8 @@ pub(crate) struct Args {
     /// End after so many seconds
     #[arg(long)]
     seconds: Option<f64>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -72,12 +76,19 @@ pub(crate) fn run(args: Args) -> Result<()> {
         bail!("{}: no frame came", args.output.display());
     }
     let lost = health.losses;
-    let line = format!(
-        "{}: {frames} frames, {} lost, {} damaged",
-        args.output.display(),
-        lost.frames,
-        lost.damaged
-    );
+    let line = match args.answer.json {
+        true => {
+            let (output, lost) = (answer::path(&args.output), health.losses);
+            json!({ "output": output, "frames": frames, "lost": lost.frames, "damaged": lost.damaged })
+                .to_string()
+        }
+        false => format!(
+            "{}: {frames} frames, {} lost, {} damaged",
+            args.output.display(),
+            lost.frames,
+            lost.damaged
+        ),
+    };
     match args.source.takes_standard_output() {
         true => eprintln!("{line}"),
         false => println!("{line}"),

@@ -6,15 +6,19 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 use lipstream::engine::{Engine, Kind, RunSettings};
 use lipstream::parameters::{self, ParameterError};
+use lipstream::time::seconds;
+use lipstream_core::HOP_SAMPLES;
 use lipstream_core::servo::{Axis, Calibration, Mouth, Pulse, ReadOut, Servos, output};
 use lipstream_live::address::Address;
 use lipstream_live::recording::Recording;
 use lipstream_media::files;
+use serde_json::json;
 
+use super::answer::{Answer, Done};
 use super::convert::{anew, told};
 use super::cues;
 use super::sources::SourceArgs;
-use super::streams::{ending, hear, is_standard, name, open_sound, say, write};
+use super::streams::{ending, hear, is_standard, name, open_sound, write};
 
 mod calibration;
 mod live;
@@ -58,6 +62,8 @@ pub(crate) struct Args {
     /// Write the calibration as the binary table that a microcontroller keeps in flash
     #[arg(long, value_name = "FILE")]
     write_table: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -73,6 +79,15 @@ impl Args {
     pub(crate) fn is_live(&self) -> bool {
         let asked = self.source.source().is_some() || self.by_hand.is_some() || self.write_table.is_some();
         self.source.is_live() || !asked
+    }
+
+    /// Tells a program how long the servos were moved; people see them.
+    fn moved(&self, output: &Path, hops: usize) {
+        if self.answer.json {
+            let seconds = seconds(hops * HOP_SAMPLES);
+            let done = Done::new(String::new(), json!({ "hops": hops, "seconds": seconds }));
+            self.answer.tell(output, &done);
+        }
     }
 }
 
@@ -103,7 +118,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
         };
         let table = calibration.clone().reading(read_out).to_bytes();
         write(path, |file| Ok(file.write_all(&table)?))?;
-        say(path, &format!("{} bytes", table.len()));
+        let done = Done::new(format!("{} bytes", table.len()), json!({ "bytes": table.len() }));
+        args.answer.tell(path, &done);
     }
     if !moves {
         return Ok(());
@@ -117,21 +133,35 @@ pub(crate) fn run(args: Args) -> Result<()> {
             };
             let mut line = serial2::SerialPort::open(&port, baud)
                 .with_context(|| format!("cannot open {}", port.display()))?;
-            return drive(&args, &calibration, &mut line)
-                .with_context(|| format!("servos at {}", port.display()));
+            let hops = drive(&args, &calibration, &mut line)
+                .with_context(|| format!("servos at {}", port.display()))?;
+            args.moved(&port, hops);
+            return Ok(());
         }
-        (None, None) if args.bars => return drive(&args, &calibration, &mut io::sink()),
+        (None, None) if args.bars => {
+            let hops = drive(&args, &calibration, &mut io::sink())?;
+            args.moved(Path::new(""), hops);
+            return Ok(());
+        }
         (None, None) => &standard,
     };
-    write(path, |file| drive(&args, &calibration, file))
+    let mut hops = 0;
+    write(path, |file| {
+        hops = drive(&args, &calibration, file)?;
+        Ok(())
+    })?;
+    args.moved(path, hops);
+    Ok(())
 }
 
-fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<()> {
+/// Moves the servos; gives for how many hops.
+fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<usize> {
     let mut out = Out {
         calibration,
         to,
         format: args.format,
         bars: args.bars,
+        hops: 0,
         next: (args.bars || args.port.is_some() || args.is_live()).then(Instant::now),
     };
     let done = match (&args.by_hand, args.source.source()) {
@@ -143,7 +173,7 @@ fn drive(args: &Args, calibration: &Calibration, to: &mut dyn Write) -> Result<(
     if args.bars {
         eprintln!();
     }
-    done
+    done.map(|()| out.hops)
 }
 
 /// Where pulses go, a hop at a time.
@@ -152,6 +182,8 @@ struct Out<'a> {
     to: &'a mut dyn Write,
     format: Format,
     bars: bool,
+    /// Hops whose pulses have left.
+    hops: usize,
     /// When the next hop is due; None where nobody waits for it.
     next: Option<Instant>,
 }
@@ -170,6 +202,7 @@ impl Out<'_> {
                 }
             }
         }
+        self.hops += 1;
         if self.bars {
             self.show(pulses);
         }

@@ -4,10 +4,11 @@ use std::time::Instant;
 
 use anyhow::{Context as _, Result, bail};
 
+use super::answer::{self, Answer, Done};
 use super::train_hierarchical;
 use super::train_mge;
 use super::train_shards::{self, Shards};
-use crate::progress::{Terminal, say};
+use crate::progress::Terminal;
 use lipstream::engine::FloatModel;
 use lipstream::hmm::system::{SYSTEMS, System};
 use lipstream::kinds::hierarchical;
@@ -19,6 +20,7 @@ use lipstream_make::train::resume::Resume;
 use lipstream_make::train::state::State;
 use lipstream_make::train::{self, TrainSettings, shards};
 use lipstream_media::files;
+use serde_json::json;
 
 /// `lipstream train`, whole or in pieces.
 #[derive(Debug, clap::Args)]
@@ -94,6 +96,8 @@ pub(crate) struct Args {
     tolerance: Option<usize>,
     #[command(flatten)]
     hierarchical: train_hierarchical::Args,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// What training minimises.
@@ -223,22 +227,23 @@ fn whole(args: Args) -> Result<()> {
         }
     }
     settings.resume.finish()?;
-    wrote(output, begun);
+    wrote(args.answer, output, begun);
     Ok(())
 }
 
-fn wrote(output: &Path, begun: Instant) {
-    say(&format!(
-        "wrote {} after {:.0} s",
-        output.display(),
-        begun.elapsed().as_secs_f32()
-    ));
+fn wrote(answer: Answer, output: &Path, begun: Instant) {
+    let seconds = begun.elapsed().as_secs_f32();
+    let done = Done::new(
+        format!("wrote {} after {seconds:.0} s", output.display()),
+        json!({ "output": answer::path(output), "seconds": seconds }),
+    );
+    answer.note(&done);
 }
 
 fn hierarchical(args: &Args, folder: &FeatureFolder, output: &Path) -> Result<()> {
     let begun = Instant::now();
     train_hierarchical::run(&args.hierarchical, folder, args.seed, output)?;
-    wrote(output, begun);
+    wrote(args.answer, output, begun);
     Ok(())
 }
 
@@ -252,6 +257,7 @@ fn this_run(folder: &FeatureFolder, heard: &[FeatureFolder], settings: &TrainSet
 }
 
 fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> {
+    let begun = Instant::now();
     let usual = align::train::AudioHmmSettings::default();
     let settings = align::train::AudioHmmSettings {
         mixtures: args.audio_mixtures.unwrap_or(usual.mixtures),
@@ -260,6 +266,6 @@ fn sound_only(folder: &FeatureFolder, args: &Args, output: &Path) -> Result<()> 
         without: args.without.clone(),
     };
     align::train::train(folder, &settings, output.parent(), &Terminal::default())?.write(output)?;
-    say(&format!("wrote {}", output.display()));
+    wrote(args.answer, output, begun);
     Ok(())
 }

@@ -3,12 +3,14 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail};
 
+use super::answer::{self, Answer, Done};
 use super::train::system;
-use crate::progress::{Terminal, say};
+use crate::progress::Terminal;
 use lipstream::hmm::system::System;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::train::TrainSettings;
 use lipstream_make::train::shards::{self, Splitting};
+use serde_json::json;
 
 /// EM in pieces.
 #[derive(Debug, clap::Subcommand)]
@@ -32,6 +34,8 @@ pub(crate) struct Start {
     /// State to write
     #[arg(short, long, value_name = "STATE")]
     output: PathBuf,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Sum one EM pass over a share of the clips
@@ -48,6 +52,8 @@ pub(crate) struct Accumulate {
     /// Sums to write
     #[arg(short, long, value_name = "SUMS")]
     output: PathBuf,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Add the sums of all shards and write the next state
@@ -71,6 +77,8 @@ pub(crate) struct Merge {
     /// Most Gaussians per visual state when splitting
     #[arg(long, default_value_t = TrainSettings::default().visual_mixtures)]
     visual_mixtures: usize,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 fn shard(text: &str) -> Result<(usize, usize)> {
@@ -95,18 +103,31 @@ pub(crate) fn run(command: Shards) -> Result<()> {
                 .map(|path| FeatureFolder::open(path))
                 .collect::<Result<Vec<_>, _>>()?;
             shards::start(&folder, &others, args.system, &progress)?.write(&args.output)?;
-            say(&format!("wrote {}", args.output.display()));
+            let done = Done::new(
+                format!("wrote {}", args.output.display()),
+                json!({ "output": answer::path(&args.output) }),
+            );
+            args.answer.note(&done);
         }
         Shards::Accumulate(args) => {
             let folder = FeatureFolder::open(&args.dir)?;
             let sums = shards::accumulate_files(&folder, &args.model, args.shard, &args.output, &progress)?;
-            say(&format!(
-                "wrote {}: {} frames, log likelihood {:.4} a frame, {} clips without a path",
-                args.output.display(),
-                sums.frames,
-                sums.per_frame(),
-                sums.failed.len()
-            ));
+            let done = Done::new(
+                format!(
+                    "wrote {}: {} frames, log likelihood {:.4} a frame, {} clips without a path",
+                    args.output.display(),
+                    sums.frames,
+                    sums.per_frame(),
+                    sums.failed.len()
+                ),
+                json!({
+                    "output": answer::path(&args.output),
+                    "frames": sums.frames,
+                    "log_likelihood": sums.per_frame(),
+                    "clips_without_a_path": sums.failed.len(),
+                }),
+            );
+            args.answer.note(&done);
         }
         Shards::Merge(args) => {
             let split = args.split.then_some(Splitting {
@@ -115,13 +136,22 @@ pub(crate) fn run(command: Shards) -> Result<()> {
             });
             let (state, sums) = shards::merge(&args.model, &args.sums, split)?;
             state.write(&args.output)?;
-            say(&format!(
-                "pass {}: log likelihood {:.4} a frame over {} frames; wrote {}",
-                state.passes,
-                sums.per_frame(),
-                sums.frames,
-                args.output.display()
-            ));
+            let done = Done::new(
+                format!(
+                    "pass {}: log likelihood {:.4} a frame over {} frames; wrote {}",
+                    state.passes,
+                    sums.per_frame(),
+                    sums.frames,
+                    args.output.display()
+                ),
+                json!({
+                    "output": answer::path(&args.output),
+                    "pass": state.passes,
+                    "frames": sums.frames,
+                    "log_likelihood": sums.per_frame(),
+                }),
+            );
+            args.answer.note(&done);
         }
     }
     Ok(())

@@ -15,7 +15,9 @@ use lipstream_live::face::Face;
 use lipstream_live::hub::Hub;
 use lipstream_live::recording::{Recorder, Recording};
 use lipstream_live::serve::{Place, Server};
+use serde_json::json;
 
+use super::answer::Answer;
 use super::faces::{FaceArgs, same_model};
 use super::sources::{self, Model, SourceArgs};
 
@@ -40,6 +42,8 @@ pub(crate) struct Args {
     /// Port of the page; 0 is any
     #[arg(long, default_value_t = 7341)]
     port: u16,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
@@ -85,10 +89,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
     if let Some(setup) = setup {
         desk.attach(setup);
     }
-    let mut lines = format!("open {} in a browser; Ctrl-C ends", server.url());
-    if !attached {
-        lines += "\nno device is attached: the page offers a demo; name a source, or --wav SOUND";
-    }
+    let lines = match (args.answer.json, attached) {
+        (true, _) => json!({ "address": server.url(), "attached": attached }).to_string(),
+        (false, true) => format!("open {} in a browser; Ctrl-C ends", server.url()),
+        (false, false) => format!(
+            "open {} in a browser; Ctrl-C ends\nno device is attached: the page offers a demo; name a source, or --wav SOUND",
+            server.url()
+        ),
+    };
     match args.source.takes_standard_output() {
         true => eprintln!("{lines}"),
         false => println!("{lines}"),

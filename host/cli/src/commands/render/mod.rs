@@ -3,9 +3,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 
+use super::answer::{Answer, Done};
 use super::choices;
 use super::faces::{FaceArgs, mouth};
-use super::streams::{ending, file_name, keep_apart, name, read_sound, say};
+use super::streams::{ending, file_name, keep_apart, name, read_sound};
 use crate::progress::Terminal;
 use lipstream::cues;
 use lipstream::engine::{Converted, Engine, RunSettings};
@@ -18,6 +19,7 @@ use lipstream::{parameters, shipped, time};
 use lipstream_make::details;
 use lipstream_make::features::FeatureFolder;
 use lipstream_media::files;
+use serde_json::json;
 
 mod face;
 mod going_on;
@@ -63,6 +65,8 @@ pub(crate) struct Args {
     /// Put the fine detail that eigenmouths leave out onto the mouth alone, from the mouths of this feature folder, on which the model was trained
     #[arg(long, value_name = "FEATURES", conflicts_with = "background")]
     detail_from: Option<PathBuf>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 impl Args {
@@ -120,25 +124,23 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// Says what was made.
+/// Tells what was made.
 fn tell(args: &Args, drawn: &Drawn) {
     let Drawn {
         pictures,
         size: (width, height),
         sound,
     } = *drawn;
-    say(
-        &args.output,
-        &format!(
-            "{pictures} pictures of {width}×{height}, {:.2} s{}",
-            pictures as f64 / f64::from(args.fps),
-            if sound {
-                ""
-            } else {
-                ", without sound (--audio WAV adds it)"
-            }
-        ),
+    let seconds = pictures as f64 / f64::from(args.fps);
+    let silent = match sound {
+        true => "",
+        false => ", without sound (--audio WAV adds it)",
+    };
+    let done = Done::new(
+        format!("{pictures} pictures of {width}×{height}, {seconds:.2} s{silent}"),
+        json!({ "pictures": pictures, "width": width, "height": height, "seconds": seconds, "sound": sound }),
     );
+    args.answer.tell(&args.output, &done);
 }
 
 /// What was made.
