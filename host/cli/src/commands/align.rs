@@ -19,7 +19,7 @@ use lipstream_make::corpus::pronounce::Pronouncer;
 use lipstream_make::features::{Clip, FeatureFolder, PhoneLabel, PhonesFrom, Split, Word};
 
 use super::choices;
-use super::streams::{is_standard, name, read_sound, write};
+use super::streams::{is_standard, keep_apart, name, read_sound, write};
 
 /// Find when each word and phone of a known text is said
 ///
@@ -72,6 +72,8 @@ struct Job {
     sound: PathBuf,
     /// What came on standard input, which can be read only once.
     samples: Option<Vec<i16>>,
+    /// Files with its text, which nothing may be written onto: somebody may have labelled them by hand.
+    texts: Vec<PathBuf>,
 }
 
 impl Job {
@@ -310,7 +312,7 @@ fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Re
     };
     let said = heard.as_ref().or(from_words.as_ref()).or(from_phones.as_ref());
     if let (Some(out), Some(said)) = (&args.output, said) {
-        put(said, out, &clip.id, format, to_file)?;
+        put(said, out, job, format, to_file)?;
     }
     let mut compared = Compared::default();
     if args.score {
@@ -326,15 +328,16 @@ fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Re
 }
 
 /// Writes what was found.
-fn put(said: &Alignment, out: &Path, id: &str, format: Format, to_file: bool) -> Result<()> {
+fn put(said: &Alignment, out: &Path, job: &Job, format: Format, to_file: bool) -> Result<()> {
     if is_standard(out) {
         let text = format.text(said)?;
         return write(out, |file| Ok(file.write_all(&text)?));
     }
     let path = match to_file {
         true => out.to_owned(),
-        false => out.join(format!("{id}.{}", format.extension())),
+        false => out.join(format!("{}.{}", job.clip.id, format.extension())),
     };
+    keep_apart(&path, job.texts.iter().chain([&job.sound]).map(PathBuf::as_path))?;
     Ok(format.write(&path, said)?)
 }
 
@@ -484,6 +487,7 @@ fn job(
     Ok(Job {
         sound: sound.to_owned(),
         samples: is_standard(sound).then_some(samples),
+        texts: texts.to_vec(),
         clip: Clip {
             id: id.to_owned(),
             speaker: speaker.to_owned(),
@@ -515,6 +519,7 @@ fn from_features(args: &Args, root: &Path) -> Result<Vec<Job>> {
         .map(|c| Job {
             clip: c.clone(),
             samples: None,
+            texts: Vec::new(),
             sound: folder.wav_path(&c.id),
         })
         .collect())

@@ -10,7 +10,9 @@ use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::shipped;
 use lipstream::tensors::Tensors;
-use lipstream_media::{files, sound};
+use lipstream_media::sound;
+
+use super::streams::{is_standard, keep_apart, write};
 
 /// Write the device's quantised tables
 #[derive(Debug, clap::Args)]
@@ -18,7 +20,7 @@ pub(crate) struct Args {
     /// Model that `lipstream train` wrote (.safetensors); of several the best that fits is written
     #[arg(required = true, value_name = "MODEL.safetensors")]
     models: Vec<PathBuf>,
-    /// Tables to write
+    /// Tables to write; - is standard output, and what is said of them goes to standard error
     #[arg(short, long)]
     output: PathBuf,
     /// Hops that an occupancy waits for [default: the model's]
@@ -52,6 +54,11 @@ pub(crate) struct Args {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
+    keep_apart(&args.output, args.models.iter().map(PathBuf::as_path))?;
+    let tell = |line: &str| match is_standard(&args.output) {
+        true => eprintln!("{line}"),
+        false => println!("{line}"),
+    };
     let budget = Budget {
         bytes: args.flash.map(|kib| kib * 1024),
         instructions: args.cycles,
@@ -79,36 +86,36 @@ pub(crate) fn run(args: Args) -> Result<()> {
                 None => "fits",
                 Some(what) => what,
             };
-            println!("{}: {fate}", said(&args, candidate));
+            tell(&format!("{}: {fate}", said(&args, candidate)));
         }
     }
     let chosen = &candidates[chosen];
     let exported = sources[chosen.model].tables(chosen.beam_bits)?;
     let size = exported.bytes.len();
-    files::write_bytes(&args.output, &exported.bytes)?;
+    write(&args.output, |file| Ok(file.write_all(&exported.bytes)?))?;
     if args.json {
         let report = serde_json::json!({ "bytes": size, "sections": exported.report });
-        println!("{report}");
+        tell(&report.to_string());
         return Ok(());
     }
-    println!(
+    tell(&format!(
         "{:<20} {:>8}  {:>10} {:>10} {:>7}  unit",
         "section", "bytes", "max error", "rms error", "clipped"
-    );
+    ));
     for section in &exported.report {
         match &section.error {
-            Some(e) => println!(
+            Some(e) => tell(&format!(
                 "{:<20} {:>8}  {:>10.2e} {:>10.2e} {:>7}  {}",
                 section.section, section.bytes, e.max, e.rms, e.clipped, e.unit
-            ),
-            None => println!("{:<20} {:>8}", section.section, section.bytes),
+            )),
+            None => tell(&format!("{:<20} {:>8}", section.section, section.bytes)),
         }
     }
-    println!(
+    tell(&format!(
         "{}: {size} bytes ({:.1} KiB)",
         args.output.display(),
         size as f64 / 1024.0
-    );
+    ));
     Ok(())
 }
 

@@ -18,7 +18,7 @@ use super::answer::{Answer, Done};
 use super::convert::{anew, told};
 use super::cues;
 use super::sources::SourceArgs;
-use super::streams::{ending, hear, is_standard, name, open_sound, write};
+use super::streams::{ending, hear, is_standard, keep_apart, name, open_sound, write};
 
 mod calibration;
 mod live;
@@ -104,6 +104,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
         bail!("--to wants a live source: a device, --mic, or --wav SOUND");
     }
     let calibration = calibration::read(&args.calibration)?;
+    for written in args.output.iter().chain(&args.write_table) {
+        let source = args.source.source().map(Path::new);
+        let read = source.into_iter().chain(args.source.model_path());
+        keep_apart(written, read.chain([args.calibration.as_path()]))?;
+    }
     if let Some(path) = &args.write_table {
         // A device knows its model's parameters, and nothing of its mouth's pictures.
         let read_out = match calibration.needs_read_out() {
