@@ -304,15 +304,6 @@ fn file_name(board: &Board) -> String {
 /// What the board's boot loader takes.
 fn uf2(board: &Board, parts: &Parts) -> Result<Vec<u8>> {
     let (pieces, is_program) = parts.pieces();
-    if board.drive.is_some()
-        && let Some(piece) = pieces.iter().find(|piece| !board.drive_takes(piece))
-    {
-        bail!(
-            "the boot loader of the {} writes nothing at {:#x}: use a debug probe (--probe)",
-            board.title,
-            piece.address
-        );
-    }
     board.uf2(&pieces, is_program).with_context(|| {
         format!(
             "the boot loader of the {} takes no .uf2; write a .bin",
