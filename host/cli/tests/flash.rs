@@ -308,6 +308,37 @@ fn what_is_missing_is_said() {
     }
 }
 
+/// What is built into the program beside the board, and where there is no program to build it into.
+#[test]
+fn features_go_to_cargo() {
+    let folder = common::folder("flash-features");
+    let root = common::root().to_str().unwrap();
+    let words = [
+        "flash",
+        "--board",
+        "pico2",
+        "--source",
+        root,
+        "--probe",
+        "--dry-run",
+    ];
+    let said = succeed(&folder, &[&words[..], &["--log"]].concat());
+    assert!(said.contains(" --features pico2,defmt --bin pico2 "), "{said}");
+    let said = refuse(
+        &folder,
+        &[
+            "flash",
+            "--board",
+            "pico",
+            "--built-in",
+            "--log",
+            "--file",
+            "x.uf2",
+        ],
+    );
+    assert!(said.contains("call this twice"), "{said}");
+}
+
 #[test]
 fn a_program_for_another_board_is_refused() {
     let folder = common::folder("flash-program");

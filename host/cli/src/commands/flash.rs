@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// Source tree of lipstream [default: the one around this folder]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
     source: Option<PathBuf>,
+    /// The program also logs for a debug probe: starts, refusals, counters once a second, how it ends (docs/firmware.md)
+    #[arg(long, conflicts_with = "program")]
+    log: bool,
     /// Only write the file that would be flashed: .uf2 for a boot loader's drive, .bin for other tools
     #[arg(long, value_name = "FILE", conflicts_with_all = ["drive", "probe"])]
     file: Option<PathBuf>,
@@ -68,8 +71,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Err(missing) => return Err(missing),
     };
     let only_parts = args.model.is_some() || args.built_in || args.servos.is_some();
+    let features: Vec<&str> = args.log.then_some("defmt").into_iter().collect();
+    if only_parts && !features.is_empty() {
+        bail!(
+            "--log is of a program that is built here, and none is where --model, --built-in or --servos is written alone: call this twice"
+        );
+    }
     let source = match &args.program {
-        None if !only_parts => Some(Source::find(args.source.as_deref(), board)?),
+        None if !only_parts => Some(Source::find(args.source.as_deref(), board, &features)?),
         _ => None,
     };
     if args.dry_run {
