@@ -37,6 +37,15 @@ fn main() {
         println!("cargo::rerun-if-changed={script}");
         println!("cargo::rustc-link-arg-bins=-T{script}");
     }
+    if env::var_os("CARGO_FEATURE_DEFMT").is_some() {
+        if *symbol == "BOARD_MPS2_AN386" {
+            println!(
+                "cargo::error=mps2-an386 has no debug probe that reads logs: choose a board that one can buy"
+            );
+            return;
+        }
+        println!("cargo::rustc-link-arg-bins=-Tdefmt.x");
+    }
     // memory.x is found in the workspace root.
     for argument in ["--nmagic", "-Tlink.x", &format!("--defsym={symbol}=1")] {
         println!("cargo::rustc-link-arg-bins={argument}");

@@ -343,6 +343,8 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
     }
 
     fn say(&mut self, message: &ToHost) -> bool {
+        #[cfg(feature = "defmt")]
+        log(message);
         let mut buffer = [0; MAX_ENCODED];
         match encode(message, &mut buffer) {
             Ok(bytes) => {
@@ -352,5 +354,16 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
             // Cannot be: MAX_ENCODED is enough for every message.
             Err(_) => false,
         }
+    }
+}
+
+/// What a debug probe sees of a message: all but the frames, which are a hundred a second.
+#[cfg(feature = "defmt")]
+fn log(message: &ToHost) {
+    match message {
+        ToHost::Notice(notice) => defmt::warn!("{=str}", notice.words.as_str()),
+        ToHost::Status(status) => defmt::info!("{}", status),
+        ToHost::Hello(hello) => defmt::debug!("{}", hello),
+        ToHost::Frame(_) => {}
     }
 }

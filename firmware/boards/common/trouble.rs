@@ -23,6 +23,8 @@ const ROUNDS: u32 = 4;
 fn end(blinks: u32, words: fmt::Arguments) -> ! {
     cortex_m::interrupt::disable();
     visible::release();
+    #[cfg(feature = "defmt")]
+    super::log::ended(&words);
     // The zero ends whatever stands half sent on the line.
     visible::put(0);
     if let Ok(bytes) = encode(&ToHost::Notice(Notice::new(words)), &mut [0; MAX_ENCODED]) {

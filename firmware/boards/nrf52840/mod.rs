@@ -1,4 +1,7 @@
 //! What boards with an nRF52840 and a PDM microphone have in common. A board brings its pins.
+#[cfg(feature = "defmt")]
+#[path = "../common/log.rs"]
+mod log;
 #[path = "../common/model.rs"]
 mod model;
 mod pdm;
@@ -127,6 +130,8 @@ pub(crate) fn run(pins: fn(p0::Parts, p1::Parts) -> BoardPins) -> ! {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
+    #[cfg(feature = "defmt")]
+    log::started(model.head());
     let servos = servos::begin(
         board.PWM0,
         board.PWM1,

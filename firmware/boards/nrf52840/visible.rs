@@ -63,3 +63,41 @@ pub(crate) fn release() {
         (*pac::PWM1::ptr()).tasks_stop.write(|w| w.bits(1));
     }
 }
+
+/// Since the start; it begins anew after 71 minutes.
+#[cfg(feature = "defmt")]
+pub(crate) fn microseconds() -> u32 {
+    // SAFETY: copies the count to a register of its own, and reads it.
+    unsafe {
+        let timer = &*pac::TIMER0::ptr();
+        timer.tasks_capture[1].write(|w| w.bits(1));
+        timer.cc[1].read().bits()
+    }
+}
+
+/// The next start is by the program itself: the chip knows that.
+#[cfg(feature = "defmt")]
+pub(crate) fn about_to_end() {}
+
+/// What made the chip start, as its register says, which is emptied for the next time.
+#[cfg(feature = "defmt")]
+pub(crate) fn why_started() -> &'static str {
+    // SAFETY: reads the register; a one that is written takes that reason away.
+    let reason = unsafe {
+        let power = &*pac::POWER::ptr();
+        let reason = power.resetreas.read();
+        power.resetreas.write(|w| w.bits(reason.bits()));
+        reason
+    };
+    if reason.dog().bit_is_set() {
+        "the watchdog"
+    } else if reason.lockup().bit_is_set() {
+        "a processor that gave up"
+    } else if reason.sreq().bit_is_set() {
+        "the program itself or a probe"
+    } else if reason.resetpin().bit_is_set() {
+        "its reset pin"
+    } else {
+        "power"
+    }
+}

@@ -9,6 +9,9 @@
 mod fast;
 mod hot;
 mod i2s;
+#[cfg(feature = "defmt")]
+#[path = "../common/log.rs"]
+mod log;
 #[path = "../common/model.rs"]
 mod model;
 #[path = "../common/servos.rs"]
@@ -162,6 +165,8 @@ pub(crate) fn run() -> ! {
         Ok(model) => MODEL.init(model),
         Err(error) => panic!("{error}"),
     };
+    #[cfg(feature = "defmt")]
+    log::started(model.head());
     let servos = make_servos(ways, model);
     let app = make_app(model, ports, Microseconds(timer), servos);
     app.model_refused(refused);

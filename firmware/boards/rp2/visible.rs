@@ -55,3 +55,42 @@ pub(crate) fn release() {
         }
     }
 }
+
+/// Since the start; it begins anew after 71 minutes.
+#[cfg(feature = "defmt")]
+pub(crate) fn microseconds() -> u32 {
+    #[cfg(feature = "pico")]
+    use pac::TIMER;
+    #[cfg(feature = "pico2")]
+    use pac::TIMER0 as TIMER;
+    // SAFETY: reading the count has no effect.
+    unsafe { (*TIMER::ptr()).timerawl().read().bits() }
+}
+
+/// What stands in a register that only power and the reset pin clear when the program has ended by itself.
+#[cfg(feature = "defmt")]
+const ENDED: u32 = u32::from_le_bytes(*b"over");
+
+/// The next start is by the program itself.
+#[cfg(feature = "defmt")]
+pub(crate) fn about_to_end() {
+    // SAFETY: a register that means nothing to the chip.
+    unsafe { (*pac::WATCHDOG::ptr()).scratch0().write(|w| w.bits(ENDED)) };
+}
+
+/// What made the chip start. The watchdog's own register goes on saying so after a debug probe's start.
+#[cfg(feature = "defmt")]
+pub(crate) fn why_started() -> &'static str {
+    // SAFETY: as above; reading the reason has no effect.
+    let watchdog = unsafe { &*pac::WATCHDOG::ptr() };
+    let ended = watchdog.scratch0().read().bits() == ENDED;
+    // SAFETY: as above.
+    watchdog.scratch0().write(|w| unsafe { w.bits(0) });
+    if ended {
+        "the program itself"
+    } else if watchdog.reason().read().timer().bit_is_set() {
+        "the watchdog"
+    } else {
+        "power, its reset pin or a probe"
+    }
+}

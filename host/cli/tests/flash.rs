@@ -8,6 +8,7 @@ use std::process::{Command, Output};
 use common::program::{one_line, program, refuse, run, succeed};
 
 const PICO_MODELS: u32 = 0x1010_0000;
+const PICO_SERVOS: u32 = 0x1018_0000;
 
 /// The bytes of a UF2 file by their addresses, and its family.
 fn blocks(file: &Path) -> (BTreeMap<u32, u8>, u32) {
@@ -59,7 +60,7 @@ fn a_model_goes_into_its_region_of_a_file() {
     for (board, address, family) in [
         ("pico", PICO_MODELS, 0xe48b_ff56),
         ("pico2", PICO_MODELS, 0xe48b_ff57),
-        ("xiao-sense", 0x7d000, 0xada5_2840),
+        ("xiao-sense", 0x7c000, 0xada5_2840),
     ] {
         let words = [
             "flash",
@@ -109,7 +110,11 @@ fn servo_table(folder: &Path, name: &str, driver: &str) -> Vec<u8> {
 fn a_calibration_goes_into_its_region() {
     let folder = common::folder("flash-servos");
     let table = servo_table(&folder, "pins.table", "pins");
-    for board in ["pico", "pico2"] {
+    for (board, address) in [
+        ("pico", PICO_SERVOS),
+        ("pico2", PICO_SERVOS),
+        ("xiao-sense", 0xac000),
+    ] {
         let words = [
             "flash",
             "--board",
@@ -120,9 +125,12 @@ fn a_calibration_goes_into_its_region() {
             "out.uf2",
         ];
         let said = succeed(&folder, &words);
-        assert!(said.contains("calibration of servos at 0x10180000"), "{said}");
+        assert!(
+            said.contains(&format!("calibration of servos at {address:#x}")),
+            "{said}"
+        );
         let (flash, _) = blocks(&folder.join("out.uf2"));
-        assert!(holds(&flash, 0x1018_0000, &table));
+        assert!(holds(&flash, address, &table));
         // One sector: the model beside it stays.
         assert_eq!(flash.len(), 4096);
     }
@@ -138,7 +146,7 @@ fn a_calibration_goes_into_its_region() {
     succeed(&folder, &[&["flash", "--board", "pico"][..], &words].concat());
     let (flash, _) = blocks(&folder.join("both.uf2"));
     assert!(holds(&flash, PICO_MODELS, lipstream::shipped::TABLES));
-    assert!(holds(&flash, 0x1018_0000, &table));
+    assert!(holds(&flash, PICO_SERVOS, &table));
     let words = ["--servos", "pins.table", "--file", "out.bin"];
     succeed(
         &folder,
@@ -156,7 +164,7 @@ fn a_calibration_goes_into_its_region() {
     ];
     let said = succeed(&folder, &words);
     let wanted =
-        "probe-rs download --chip nRF52840_xxAA --binary-format bin --base-address 0xf0000 pins.table";
+        "probe-rs download --chip nRF52840_xxAA --binary-format bin --base-address 0xac000 pins.table";
     assert!(said.contains(wanted), "{said}");
 }
 
@@ -177,8 +185,6 @@ fn a_calibration_that_a_board_cannot_follow_is_refused() {
         ("damaged.table", "pico", "damaged"),
         ("maestro.table", "pico", "maestro, the pico has pins and pca9685"),
         ("pca9685.table", "xiao-sense", "pca9685, the xiao-sense has pins"),
-        // Above what its boot loader writes.
-        ("pins.table", "xiao-sense", "nothing at 0xf0000"),
         ("pins.table", "nano33-sense", "takes no .uf2"),
     ] {
         let words = ["flash", "--board", board, "--servos", servos, "--file", "out.uf2"];
@@ -300,6 +306,37 @@ fn what_is_missing_is_said() {
     ] {
         assert!(said.contains(what), "{what} is not in:\n{said}");
     }
+}
+
+/// What is built into the program beside the board, and where there is no program to build it into.
+#[test]
+fn features_go_to_cargo() {
+    let folder = common::folder("flash-features");
+    let root = common::root().to_str().unwrap();
+    let words = [
+        "flash",
+        "--board",
+        "pico2",
+        "--source",
+        root,
+        "--probe",
+        "--dry-run",
+    ];
+    let said = succeed(&folder, &[&words[..], &["--log"]].concat());
+    assert!(said.contains(" --features pico2,defmt --bin pico2 "), "{said}");
+    let said = refuse(
+        &folder,
+        &[
+            "flash",
+            "--board",
+            "pico",
+            "--built-in",
+            "--log",
+            "--file",
+            "x.uf2",
+        ],
+    );
+    assert!(said.contains("call this twice"), "{said}");
 }
 
 #[test]

@@ -36,6 +36,9 @@ pub(crate) struct Args {
     /// Source tree of lipstream [default: the one around this folder]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
     source: Option<PathBuf>,
+    /// The program also logs for a debug probe: starts, refusals, counters once a second, how it ends (docs/firmware.md)
+    #[arg(long, conflicts_with = "program")]
+    log: bool,
     /// Only write the file that would be flashed: .uf2 for a boot loader's drive, .bin for other tools
     #[arg(long, value_name = "FILE", conflicts_with_all = ["drive", "probe"])]
     file: Option<PathBuf>,
@@ -68,8 +71,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Err(missing) => return Err(missing),
     };
     let only_parts = args.model.is_some() || args.built_in || args.servos.is_some();
+    let features: Vec<&str> = args.log.then_some("defmt").into_iter().collect();
+    if only_parts && !features.is_empty() {
+        bail!(
+            "--log is of a program that is built here, and none is where --model, --built-in or --servos is written alone: call this twice"
+        );
+    }
     let source = match &args.program {
-        None if !only_parts => Some(Source::find(args.source.as_deref(), board)?),
+        None if !only_parts => Some(Source::find(args.source.as_deref(), board, &features)?),
         _ => None,
     };
     if args.dry_run {
@@ -304,15 +313,6 @@ fn file_name(board: &Board) -> String {
 /// What the board's boot loader takes.
 fn uf2(board: &Board, parts: &Parts) -> Result<Vec<u8>> {
     let (pieces, is_program) = parts.pieces();
-    if board.drive.is_some()
-        && let Some(piece) = pieces.iter().find(|piece| !board.drive_takes(piece))
-    {
-        bail!(
-            "the boot loader of the {} writes nothing at {:#x}: use a debug probe (--probe)",
-            board.title,
-            piece.address
-        );
-    }
     board.uf2(&pieces, is_program).with_context(|| {
         format!(
             "the boot loader of the {} takes no .uf2; write a .bin",

@@ -8,41 +8,48 @@ use lipstream_live::board::{Board, Piece};
 
 const PROBE_RS: &str = "probe-rs";
 
-/// A source tree of lipstream.
-pub(super) struct Source(PathBuf);
+/// A source tree of lipstream, and what of it is built beside the board.
+pub(super) struct Source {
+    tree: PathBuf,
+    /// Cargo features, the board's too.
+    features: String,
+}
 
 impl Source {
-    /// The named one, or the one around this folder.
-    pub(super) fn find(named: Option<&Path>, board: &Board) -> Result<Self> {
+    /// The named one, or the one around this folder, built with these features beside the board's.
+    pub(super) fn find(named: Option<&Path>, board: &Board, features: &[&str]) -> Result<Self> {
+        let features = [&[board.name], features].concat().join(",");
         let is_tree =
             |folder: &Path| folder.join("memory.x").is_file() && folder.join("firmware/boards").is_dir();
         if let Some(folder) = named {
             if !is_tree(folder) {
                 bail!("--source {}: no source tree of lipstream", folder.display());
             }
-            return Ok(Self(folder.to_owned()));
+            let tree = folder.to_owned();
+            return Ok(Self { tree, features });
         }
         let here = std::env::current_dir().context("cannot tell which folder this is")?;
         let tree = here.ancestors().find(|folder| is_tree(folder));
-        tree.map(|folder| Self(folder.to_owned())).with_context(|| {
+        let tree = tree.map(Path::to_owned).with_context(|| {
             format!(
                 "no source tree of lipstream here, from which the program for the {} is built: call this in one, name it (--source DIR) or a program that was built elsewhere (--program FILE); a model alone (--model) needs none",
                 board.title
             )
-        })
+        })?;
+        Ok(Self { tree, features })
     }
 
     fn command(&self, board: &Board) -> Command {
         let mut cargo = Command::new("cargo");
         cargo
-            .current_dir(&self.0)
+            .current_dir(&self.tree)
             .args([
                 "build",
                 "--locked",
                 "-p",
                 "lipstream-firmware",
                 "--features",
-                board.name,
+                &self.features,
             ])
             .args([
                 "--bin",
@@ -61,14 +68,14 @@ impl Source {
 
     /// Where the program is if nobody chose another folder for cargo.
     pub(super) fn usual_place(&self, board: &Board) -> PathBuf {
-        let target = self.0.join("target").join(board.target);
+        let target = self.tree.join("target").join(board.target);
         target.join("firmware").join(board.name)
     }
 
     /// Whether all is here to build.
     pub(super) fn check(&self, board: &Board) -> Result<()> {
         let said = Command::new("rustc")
-            .current_dir(&self.0)
+            .current_dir(&self.tree)
             .args(["--print", "target-libdir", "--target", board.target])
             .stderr(Stdio::null())
             .output()
