@@ -135,3 +135,68 @@ fn every_sound_of_many_is_told_of() {
         assert!(files[1]["error"].as_str().unwrap().contains("short.wav") && files[1]["output"].is_null());
     }
 }
+
+#[test]
+fn what_would_be_flashed_and_what_was_written() {
+    let folder = common::folder("cli-json-flash");
+    let tables = file("models/grid-s1.tables");
+    let words = ["flash", "--board", "pico", "--model", &tables, "--json"];
+    let written = told(&folder, &[&words[..], &["--file", "model.uf2"]].concat());
+    let size = std::fs::metadata(&tables).unwrap().len();
+    assert_eq!(
+        (&written["output"], written["model"].as_u64()),
+        (&Value::from("model.uf2"), Some(size))
+    );
+    assert!(written["program"].is_null() && folder.join("model.uf2").is_file());
+    // Without probe-rs the commands are told all the same, and that it is missing.
+    let plan = told(&folder, &[&words[..], &["--probe", "--dry-run"]].concat());
+    let of = |name: &str| plan[name].as_array().unwrap().clone();
+    assert!(
+        of("commands")
+            .iter()
+            .all(|c| c.as_str().unwrap().starts_with("probe-rs ")),
+        "{plan}"
+    );
+    assert!(of("notes")[0].as_str().unwrap().contains("probe-rs"), "{plan}");
+}
+
+#[test]
+fn tables_go_to_standard_output_too() {
+    let folder = common::folder("cli-export-stdout");
+    let model = file("models/grid-s1.safetensors");
+    let said = told(&folder, &["export", &model, "-o", "a.tables", "--json"]);
+    let ran = run(&folder, &["export", &model, "-o", "-", "--json"]);
+    assert!(ran.stdout == std::fs::read(folder.join("a.tables")).unwrap());
+    assert_eq!(serde_json::from_slice::<Value>(&ran.stderr).unwrap(), said);
+}
+
+/// What somebody made by hand is not written over.
+#[test]
+fn what_is_read_is_not_written_onto() {
+    let folder = common::folder("cli-kept");
+    std::fs::copy(file("data/hello.wav"), folder.join("a.wav")).unwrap();
+    std::fs::write(folder.join("a.lab"), "0 42000000 hello\n").unwrap();
+    std::fs::copy(file("data/servos.json"), folder.join("s.json")).unwrap();
+    std::fs::copy(file("models/grid-s1.safetensors"), folder.join("m.safetensors")).unwrap();
+    let calls = [
+        (&["align", "a.wav", "-o", "a.lab"][..], "a.lab"),
+        (&["align", "a.wav", "-o", ".", "--format", "lab"], "a.lab"),
+        (
+            &["export", "m.safetensors", "-o", "m.safetensors"],
+            "m.safetensors",
+        ),
+        (&["servo", "a.wav", "-c", "s.json", "-o", "s.json"], "s.json"),
+        (&["servo", "-c", "s.json", "--write-table", "s.json"], "s.json"),
+    ];
+    for (call, kept) in calls {
+        let before = std::fs::read(folder.join(kept)).unwrap();
+        let ran = run(&folder, call);
+        let error = String::from_utf8(ran.stderr).unwrap();
+        assert_eq!(ran.status.code(), Some(1), "{call:?}: {error}");
+        assert!(
+            error.contains("is read from") && error.contains(kept),
+            "{call:?}: {error}"
+        );
+        assert!(std::fs::read(folder.join(kept)).unwrap() == before, "{call:?}");
+    }
+}

@@ -63,7 +63,10 @@ fn every_command_explains_itself() {
         // What has results has them for programs too; scripts and pages of the manual are for one reader each.
         let is_text = ["completions", "man"].contains(&command);
         let several = ["mos"].contains(&command); // its parts have their own
-        assert!(is_text || several || help.contains("--json"), "{command} has no --json");
+        assert!(
+            is_text || several || help.contains("--json"),
+            "{command} has no --json"
+        );
         // Nobody asked for colours, and this is no terminal.
         assert!(!help.contains('\u{1b}'), "{help}");
     }

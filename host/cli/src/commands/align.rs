@@ -312,7 +312,13 @@ fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Re
     };
     let said = heard.as_ref().or(from_words.as_ref()).or(from_phones.as_ref());
     if let (Some(out), Some(said)) = (&args.output, said) {
-        put(said, out, job, format, to_file)?;
+        // Who names one file for what is heard says that it may go.
+        let kept = match heard.is_some() && to_file {
+            true => &[][..],
+            false => &job.texts,
+        };
+        let read = kept.iter().chain([&job.sound]);
+        put(said, out, (&clip.id, read), format, to_file)?;
     }
     let mut compared = Compared::default();
     if args.score {
@@ -327,17 +333,23 @@ fn one(job: &Job, ears: &Ears, args: &Args, format: Format, to_file: bool) -> Re
     Ok(compared)
 }
 
-/// Writes what was found.
-fn put(said: &Alignment, out: &Path, job: &Job, format: Format, to_file: bool) -> Result<()> {
+/// Writes what was found, and not onto a file of `read`.
+fn put<'p>(
+    said: &Alignment,
+    out: &Path,
+    (id, read): (&str, impl Iterator<Item = &'p PathBuf>),
+    format: Format,
+    to_file: bool,
+) -> Result<()> {
     if is_standard(out) {
         let text = format.text(said)?;
         return write(out, |file| Ok(file.write_all(&text)?));
     }
     let path = match to_file {
         true => out.to_owned(),
-        false => out.join(format!("{}.{}", job.clip.id, format.extension())),
+        false => out.join(format!("{id}.{}", format.extension())),
     };
-    keep_apart(&path, job.texts.iter().chain([&job.sound]).map(PathBuf::as_path))?;
+    keep_apart(&path, read.map(PathBuf::as_path))?;
     Ok(format.write(&path, said)?)
 }
 

@@ -7,8 +7,10 @@ use lipstream_core::AnyModel;
 use lipstream_core::model::ModelError;
 use lipstream_live::board::{BOARDS, Board, Piece, Program, drive};
 use lipstream_media::files;
+use serde_json::json;
 
-use super::streams::{ending, is_standard, name, say, write};
+use super::answer::{Answer, Done};
+use super::streams::{ending, is_standard, name, write};
 use tools::{Probe, Source};
 
 mod tools;
@@ -51,6 +53,8 @@ pub(crate) struct Args {
     /// Print the commands that would run, and what is missing for them
     #[arg(long)]
     dry_run: bool,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// Where it goes.
@@ -62,10 +66,11 @@ enum Way {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let board = Board::named(&args.board).context("no such board")?;
+    let mut steps = Steps::default();
     let way = match way(&args, board) {
         Ok(way) => way,
         Err(missing) if args.dry_run => {
-            println!("# {missing:#}");
+            steps.note(format!("{missing:#}"));
             Way::Probe(Probe::named())
         }
         Err(missing) => return Err(missing),
@@ -82,7 +87,9 @@ pub(crate) fn run(args: Args) -> Result<()> {
         _ => None,
     };
     if args.dry_run {
-        return plan(&args, board, &way, source.as_ref());
+        plan(&mut steps, &args, board, &way, source.as_ref())?;
+        steps.print(args.answer);
+        return Ok(());
     }
     let file = match (&args.program, source) {
         (Some(path), _) => Some(path.clone()),
@@ -95,8 +102,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
         .transpose()?;
     let parts = parts(&args, board, program)?;
     match &way {
-        Way::File(path) => to_file(path, board, &parts),
-        Way::Drive(folder) => to_drive(folder, board, &parts),
+        Way::File(path) => to_file(path, board, &parts, args.answer),
+        Way::Drive(folder) => to_drive(folder, board, &parts, args.answer),
         Way::Probe(probe) => {
             if let Some(path) = &file {
                 probe.program(board, path)?;
@@ -104,7 +111,11 @@ pub(crate) fn run(args: Args) -> Result<()> {
             for piece in parts.model.iter().chain(&parts.servos) {
                 probe.bytes(board, piece)?;
             }
-            probe.reset(board)
+            probe.reset(board)?;
+            if args.answer.json {
+                args.answer.note(&told(board, &parts));
+            }
+            Ok(())
         }
     }
 }
@@ -153,12 +164,53 @@ fn way(args: &Args, board: &Board) -> Result<Way> {
     }
 }
 
-/// Says what would be done.
-fn plan(args: &Args, board: &Board, way: &Way, source: Option<&Source>) -> Result<()> {
+/// What would be done: commands that would run, and notes on what is written or missing, in their order.
+#[derive(Default)]
+struct Steps(Vec<(Step, String)>);
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Command,
+    Note,
+}
+
+impl Steps {
+    fn command(&mut self, words: String) {
+        self.0.push((Step::Command, words));
+    }
+
+    fn note(&mut self, words: String) {
+        self.0.push((Step::Note, words));
+    }
+
+    /// As a shell script, or as an object.
+    fn print(&self, answer: Answer) {
+        let of = |kind| {
+            let steps = self.0.iter().filter(move |(is, _)| *is == kind);
+            steps.map(|(_, words)| words).collect::<Vec<_>>()
+        };
+        if answer.json {
+            println!(
+                "{}",
+                json!({ "commands": of(Step::Command), "notes": of(Step::Note) })
+            );
+            return;
+        }
+        for (kind, words) in &self.0 {
+            match kind {
+                Step::Command => println!("{words}"),
+                Step::Note => println!("# {words}"),
+            }
+        }
+    }
+}
+
+/// Adds what would be done to `steps`.
+fn plan(steps: &mut Steps, args: &Args, board: &Board, way: &Way, source: Option<&Source>) -> Result<()> {
     if let Some(source) = source {
-        println!("{}", source.shown(board));
+        steps.command(source.shown(board));
         if let Err(missing) = source.check(board) {
-            println!("# {missing:#}");
+            steps.note(format!("{missing:#}"));
         }
     }
     let program = match (&args.program, source) {
@@ -173,20 +225,23 @@ fn plan(args: &Args, board: &Board, way: &Way, source: Option<&Source>) -> Resul
         .transpose()?;
     let parts = parts(args, board, known)?;
     match way {
-        Way::File(path) => println!("# {} would be written", name(path)),
-        Way::Drive(folder) => println!("# {} would be written", folder.join(file_name(board)).display()),
+        Way::File(path) => steps.note(format!("{} would be written", name(path))),
+        Way::Drive(folder) => steps.note(format!(
+            "{} would be written",
+            folder.join(file_name(board)).display()
+        )),
         Way::Probe(probe) => {
             if let Some(path) = &program {
-                println!("{}", probe.program_shown(board, path));
+                steps.command(probe.program_shown(board, path));
             }
             if let Some(piece) = &parts.model {
                 let path = args.model.as_deref().unwrap_or(Path::new("erased.bin"));
-                println!("{}", probe.bytes_shown(board, piece.address, path));
+                steps.command(probe.bytes_shown(board, piece.address, path));
             }
             if let (Some(piece), Some(path)) = (&parts.servos, &args.servos) {
-                println!("{}", probe.bytes_shown(board, piece.address, path));
+                steps.command(probe.bytes_shown(board, piece.address, path));
             }
-            println!("{}", probe.reset_shown(board));
+            steps.command(probe.reset_shown(board));
         }
     }
     Ok(())
@@ -258,8 +313,8 @@ fn model(args: &Args, board: &Board, program: Option<&Program>) -> Result<Option
     Ok(Some(piece))
 }
 
-/// What is in them, for people.
-fn told(board: &Board, written: &Parts) -> String {
+/// What is in them.
+fn told(board: &Board, written: &Parts) -> Done {
     let mut parts = Vec::new();
     if let Some(program) = &written.program {
         let bytes: usize = program.pieces.iter().map(|piece| piece.bytes.len()).sum();
@@ -275,10 +330,19 @@ fn told(board: &Board, written: &Parts) -> String {
     if let Some(piece) = &written.servos {
         parts.push(format!("calibration of servos at {:#x}", piece.address));
     }
-    format!("{}: {}", board.name, parts.join(", "))
+    let bytes = |piece: &Option<Piece>| piece.as_ref().map(|piece| piece.bytes.len());
+    Done::new(
+        format!("{}: {}", board.name, parts.join(", ")),
+        json!({
+            "board": board.name,
+            "program": written.program.as_ref().map(|p| p.pieces.iter().map(|piece| piece.bytes.len()).sum::<usize>()),
+            "model": bytes(&written.model),
+            "servos": bytes(&written.servos),
+        }),
+    )
 }
 
-fn to_file(path: &Path, board: &Board, parts: &Parts) -> Result<()> {
+fn to_file(path: &Path, board: &Board, parts: &Parts, answer: Answer) -> Result<()> {
     let pieces = parts.pieces().0;
     let bytes = match ending(path).as_str() {
         "bin" if !is_standard(path) => flat(&pieces),
@@ -290,7 +354,7 @@ fn to_file(path: &Path, board: &Board, parts: &Parts) -> Result<()> {
         ),
     };
     write(path, |file| Ok(file.write_all(&bytes)?))?;
-    say(path, &told(board, parts));
+    answer.tell(path, &told(board, parts));
     Ok(())
 }
 
@@ -321,10 +385,10 @@ fn uf2(board: &Board, parts: &Parts) -> Result<Vec<u8>> {
     })
 }
 
-fn to_drive(folder: &Path, board: &Board, parts: &Parts) -> Result<()> {
+fn to_drive(folder: &Path, board: &Board, parts: &Parts, answer: Answer) -> Result<()> {
     let bytes = uf2(board, parts)?;
     drive::copy(&bytes, folder, &file_name(board))
         .with_context(|| format!("cannot copy to {}", folder.display()))?;
-    say(folder, &told(board, parts));
+    answer.tell(folder, &told(board, parts));
     Ok(())
 }
