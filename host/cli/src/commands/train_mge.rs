@@ -90,6 +90,12 @@ pub(crate) struct Args {
     /// Weight of lips that do not meet at p, b and m, or meet elsewhere, in all clips whose phones are known
     #[arg(long, default_value_t = MgeTrainSettings::default().closure_error)]
     closure_error: f32,
+    /// Weight of the change of the mouth's error from frame to frame: a mouth that trembles less
+    #[arg(long, default_value_t = MgeTrainSettings::default().motion_error)]
+    motion_error: f32,
+    /// Weight of the lip gap's error in the clips with video, beside that of the whole mouth
+    #[arg(long, default_value_t = MgeTrainSettings::default().gap_error)]
+    gap_error: f32,
     /// Weight of the lip gap's error in --watched
     #[arg(long, default_value_t = MgeTrainSettings::default().lip_error)]
     lip_error: f32,
@@ -141,6 +147,8 @@ impl Args {
             pauses: self.pauses,
             taught_error: self.taught_error,
             closure_error: self.closure_error,
+            motion_error: self.motion_error,
+            gap_error: self.gap_error,
             lip_error: self.lip_error,
             look_aheads: self.look_aheads.clone(),
             error_power: self.error_power,

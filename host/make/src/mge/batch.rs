@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 use super::data;
 use super::judge::centred;
+use super::losses;
 use super::pass::{Entropy, Masks, Tape, cross_entropy};
 use super::settings::MgeTrainSettings;
 use super::store::Store;
@@ -264,6 +265,14 @@ impl Trainer<'_> {
                         let e = said[[t, d]] - mouth[[t, d]];
                         error += f64::from(w * e * e);
                         pull[[t, d]] += 2.0 * w * e / n;
+                    }
+                }
+                if piece.of == Of::Person {
+                    let wrong = &said - mouth;
+                    error += losses::motion(wrong.view(), &self.weights, settings.motion_error, n, pull);
+                    if let Some(gap) = &self.data.gap {
+                        let slopes = gap.slopes();
+                        error += losses::along(wrong.view(), slopes.view(), settings.gap_error, n, pull);
                     }
                 }
             }

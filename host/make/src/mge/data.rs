@@ -201,7 +201,7 @@ fn read_with(
         reader.watch(other, &clips, &mut data.watched)?;
     }
     reader.read(folder, &validation, 0, None, &mut data.validation)?;
-    if !data.watched.is_empty() || settings.closure_error > 0.0 {
+    if !data.watched.is_empty() || settings.closure_error > 0.0 || settings.gap_error > 0.0 {
         data.gap = Some(Gap::learn(parent, &data.train, &deviation)?);
     }
     Ok(data)

@@ -12,6 +12,7 @@ pub mod disturb;
 mod gradient_tests;
 pub mod judge;
 pub mod lips;
+mod losses;
 pub mod optimise;
 pub mod pass;
 mod reverse;

@@ -61,6 +61,10 @@ pub struct MgeTrainSettings {
     pub taught_error: f32,
     /// κ_c: weight of lips that do not meet at p, b and m, or meet elsewhere, per frame, with video and without; 0: nothing is asked of them.
     pub closure_error: f32,
+    /// κ_w: weight of the error's change from frame to frame, in clips with video; 0: each frame stands for itself.
+    pub motion_error: f32,
+    /// κ_g: weight of the lip gap's error in clips with video, per frame, beside that of the mouth; 0: it counts as what it has of the mouth.
+    pub gap_error: f32,
     /// κ_l: weight of the lip gap's error in videos of other people, per frame.
     pub lip_error: f32,
     /// Look-aheads in frames of which every piece has one, at random; empty: the context's own.
@@ -108,6 +112,8 @@ impl Default for MgeTrainSettings {
             pauses: 0.0,
             taught_error: 0.0,
             closure_error: 0.0,
+            motion_error: 0.0,
+            gap_error: 0.0,
             lip_error: 0.3,
             look_aheads: vec![3, 6, 8],
             error_power: 1.0,
@@ -176,6 +182,8 @@ impl MgeTrainSettings {
             self.lip_error,
             self.taught_error,
             self.closure_error,
+            self.motion_error,
+            self.gap_error,
             self.audio_entropy,
             self.visual_entropy,
             self.heard_entropy,
