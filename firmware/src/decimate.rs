@@ -37,16 +37,17 @@ const _: () = {
     assert!(sum < 1 << 15);
 };
 
+/// v in a sample of sound.
+const STEP: usize = 4;
+const STEPS: usize = TAPS / STEP;
+
 /// The filters and what they remember.
 #[derive(Clone, Debug)]
 pub struct Decimator {
-    /// The last two u of even numbers, and of odd ones, oldest first.
-    even: [i32; 2],
-    odd: [i32; 2],
-    /// u since the last y.
-    phase: usize,
+    /// The last three u, oldest first.
+    before: [i32; 3],
     /// The last v, twice: from `place` on stand all of them in order. Words, since a Cortex-M0+ reads those with the fewest instructions.
-    recent: [i32; 2 * TAPS],
+    recent: [[i32; STEP]; 2 * STEPS],
     place: usize,
 }
 
@@ -60,47 +61,34 @@ impl Decimator {
     /// As after a long time at the middle of the converter's range.
     pub const fn new() -> Self {
         Self {
-            even: [0; 2],
-            odd: [0; 2],
-            phase: 0,
-            recent: [0; 2 * TAPS],
+            before: [0; 3],
+            recent: [[0; STEP]; 2 * STEPS],
             place: 0,
         }
     }
 
-    /// A count of the converter, 0 to 4095; a sample with every [`FACTOR`]th. One with the converter's error flag (bit 15) is left out: the one
-    /// before it stands in.
-    #[inline]
-    pub fn push(&mut self, count: u16) -> Option<i16> {
-        let is_odd = self.phase.is_multiple_of(2);
-        let last = if is_odd { self.even[1] } else { self.odd[1] };
-        let u = match count & ERROR {
-            0 => i32::from(count & 0xfff) - MIDDLE,
-            _ => last,
-        };
-        self.phase += 1;
-        if is_odd {
-            self.odd = [self.odd[1], u];
-            return None;
-        }
-        let [[a, c], [b, d]] = [self.even, self.odd];
-        self.even = [c, u];
-        // Within 16 bits: weights add up to 16, and −2048 ≤ u ≤ 2047.
-        let v = a + u + 4 * (b + d) + 6 * c;
-        self.recent[self.place] = v;
-        self.recent[self.place + TAPS] = v;
-        self.place = (self.place + 1) % TAPS;
-        if self.phase < FACTOR {
-            return None;
-        }
-        self.phase = 0;
-        Some(self.low_pass())
-    }
-
-    /// A function of its own, for a board that runs it from RAM.
+    /// A sample for the next counts of the converter, each 0 to 4095. One with the converter's error flag (bit 15) is left out: the one before it
+    /// stands in. A function of its own, for a board that runs it from RAM.
     #[inline(never)]
-    fn low_pass(&self) -> i16 {
-        let (older, newer) = self.recent[self.place..][..TAPS].split_at(TAPS / 2);
+    pub fn push(&mut self, counts: [u16; FACTOR]) -> i16 {
+        let [x, y, z] = self.before;
+        let mut last = z;
+        let [a, b, c, d, e, f, g, h] = counts.map(|count| {
+            if count & ERROR == 0 {
+                last = i32::from(count & 0xfff) - MIDDLE;
+            }
+            last
+        });
+        self.before = [f, g, h];
+        // Within 16 bits: weights add up to 16, and −2048 ≤ u ≤ 2047.
+        let smooth = |u: [i32; 5]| u[0] + u[4] + 4 * (u[1] + u[3]) + 6 * u[2];
+        let v = [[x, y, z, a, b], [z, a, b, c, d], [b, c, d, e, f], [d, e, f, g, h]].map(smooth);
+        let place = self.place % STEPS;
+        self.recent[place] = v;
+        self.recent[place + STEPS] = v;
+        self.place = (place + 1) % STEPS;
+        let recent = self.recent[self.place..][..STEPS].as_flattened();
+        let (older, newer) = recent.split_at(TAPS / 2);
         let mut sum = 0;
         // Eight at a time: addresses within a load's reach, and less of a loop.
         let eights = older
@@ -128,7 +116,9 @@ mod tests {
 
     fn decimated(counts: impl Iterator<Item = u16>) -> Vec<i16> {
         let mut decimator = Decimator::new();
-        counts.filter_map(|count| decimator.push(count)).collect()
+        let counts: Vec<u16> = counts.collect();
+        let eights = counts.as_chunks().0.iter();
+        eights.map(|counts| decimator.push(*counts)).collect()
     }
 
     /// The amplitude of what a tone of 1,800 counts leaves behind at the frequency onto which it folds, as a gain in dB.
@@ -187,7 +177,7 @@ mod tests {
         for up in [0, 4095] {
             let counts = (0..TAPS).flat_map(|k| [if sign(k) { up } else { 4095 - up }; 2]);
             let sound = decimated(counts.cycle().take(16 * TAPS));
-            assert!(sound.iter().any(|y| *y == i16::MAX) && sound.iter().any(|y| *y == i16::MIN));
+            assert!(sound.contains(&i16::MAX) && sound.contains(&i16::MIN));
         }
     }
 

@@ -60,14 +60,6 @@ impl Microphone {
 
 impl lipstream_firmware::turn::Microphone for Microphone {
     fn read(&mut self, samples: &mut [i16]) -> (usize, u32) {
-        let (room, mut made) = (samples.len(), 0);
-        let Self { sound, decimator } = self;
-        let (_, lost) = sound.read(room * FACTOR, |count| {
-            if let Some(sample) = decimator.push(count) {
-                samples[made] = sample;
-                made += 1;
-            }
-        });
-        (made, lost.div_ceil(FACTOR as u32))
+        self.sound.read(samples, |counts| self.decimator.push(counts))
     }
 }

@@ -80,11 +80,8 @@ impl Microphone {
 
 impl lipstream_firmware::turn::Microphone for Microphone {
     fn read(&mut self, samples: &mut [i16]) -> (usize, u32) {
-        let mut to = samples.iter_mut();
-        self.0.read(to.len(), |word| {
-            if let Some(to) = to.next() {
-                *to = lipstream_core::fixed::saturate_i16(word as i32 >> SHIFT);
-            }
+        self.0.read(samples, |[word]| {
+            lipstream_core::fixed::saturate_i16(word as i32 >> SHIFT)
         })
     }
 }

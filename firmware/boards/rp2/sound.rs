@@ -20,11 +20,14 @@ pub(crate) type Word = u32;
 #[cfg(feature = "adc")]
 pub(crate) type Word = u16;
 
-/// Words of half the ring: 16 ms.
+/// Words for a sample of sound.
 #[cfg(not(feature = "adc"))]
-const HALF: usize = 256;
+pub(crate) const GRAIN: usize = 1;
 #[cfg(feature = "adc")]
-const HALF: usize = 256 * lipstream_firmware::decimate::FACTOR;
+pub(crate) const GRAIN: usize = lipstream_firmware::decimate::FACTOR;
+
+/// Words of half the ring: 16 ms.
+const HALF: usize = 256 * GRAIN;
 const RING: usize = 2 * HALF;
 const HALF_BYTES: usize = HALF * size_of::<Word>();
 
@@ -56,14 +59,23 @@ impl Sound {
         }
     }
 
-    /// Gives the words that have come to `take`, `most` at most: how many, and how many were lost before them.
-    pub(crate) fn read(&mut self, most: usize, mut take: impl FnMut(Word)) -> (usize, u32) {
-        let piece = self.reader.next(written(), most);
-        for i in piece.start..piece.start + piece.count {
+    /// Fills the beginning of `samples` with what `make` makes of the words that have come: how many, and how many were lost before them.
+    pub(crate) fn read(
+        &mut self,
+        samples: &mut [i16],
+        mut make: impl FnMut([Word; GRAIN]) -> i16,
+    ) -> (usize, u32) {
+        // Whole grains: a ring of them has no grain across its end.
+        let whole = written() & !(GRAIN as u32 - 1);
+        let piece = self.reader.next(whole, samples.len() * GRAIN);
+        let grains = (piece.start..).step_by(GRAIN).take(piece.count / GRAIN);
+        for (sample, start) in samples.iter_mut().zip(grains) {
             // SAFETY: inside the ring, see `RingReader`; volatile as DMA writes there.
-            take(unsafe { ptr::read_volatile(RING_OF_WORDS.0.get().cast::<Word>().add(i)) });
+            *sample = make(core::array::from_fn(|k| unsafe {
+                ptr::read_volatile(RING_OF_WORDS.0.get().cast::<Word>().add(start + k))
+            }));
         }
-        (piece.count, piece.lost)
+        (piece.count / GRAIN, piece.lost / GRAIN as u32)
     }
 }
 

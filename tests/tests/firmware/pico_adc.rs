@@ -50,7 +50,8 @@ fn a_voltage_gives_the_hosts_bytes() {
     // The last one is heard until the emulator stops.
     counts.extend(vec![counts[counts.len() - 1]; 1600 * FACTOR]);
     let mut decimator = Decimator::new();
-    let sound: Vec<i16> = counts.iter().filter_map(|count| decimator.push(*count)).collect();
+    let eights = counts.as_chunks().0.iter();
+    let sound: Vec<i16> = eights.map(|counts| decimator.push(*counts)).collect();
     let settings = StreamSettings::of(Profile::Standard);
     let expected = host(&model, settings, &sound[SETTLING..]);
     for messages in [&said.usb, &said.uart] {
