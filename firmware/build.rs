@@ -31,6 +31,10 @@ fn main() {
         println!("cargo::error=choose one board");
         return;
     }
+    if env::var_os("CARGO_FEATURE_ADC").is_some() && *symbol != "BOARD_PICO" {
+        println!("cargo::error=adc is a microphone of the Pico's: choose pico, or leave it out");
+        return;
+    }
     // Before cortex-m-rt's script: whoever names a section first has it.
     if ["BOARD_PICO", "BOARD_PICO2"].contains(symbol) {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/boards/rp2/hot.x");

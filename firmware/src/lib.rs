@@ -8,6 +8,7 @@
 extern crate std;
 
 pub mod app;
+pub mod decimate;
 pub mod pace;
 pub mod pdm;
 pub mod port;

@@ -4,6 +4,7 @@
 //   faults                 an address where nothing is, or an instruction that is none, raises a hard fault; one inside that, or a stack that
 //                          has left the RAM, locks the processor up until the watchdog fires;
 //   a new start            by the watchdog or by the program: another chip with the same RAM, and flash as it was at first;
+//   SysTick                does not end a sleep: `sleeps` does it;
 //   the bit in a vector    that says "Thumb" stays in the program counter, and jump tables miss by one: taken off here;
 //   speed                  a loop that only counts down while interrupts are off is passed over at once, its cycles counted;
 //   the flash cache        every access takes as long as RAM: `Cache` adds what a miss takes.
@@ -131,6 +132,13 @@ class Chip {
         write(address, value);
       };
     }
+  }
+
+  /** Whether the processor waits for an interrupt; SysTick's is one too. */
+  get sleeps() {
+    const { core } = this.mcu;
+    if (core.pendingSystick) core.waiting = false;
+    return core.waiting;
   }
 
   /** An instruction; how many cycles it took. */

@@ -1,4 +1,4 @@
-// Runs the Pico's firmware in rp2040js, with an I²S microphone on its pins that plays a file.
+// Runs the Pico's firmware in rp2040js, with an I²S microphone on its pins that plays a file, or an amplifier's voltage at its ADC.
 //
 //   node run.mjs JOB.json
 //
@@ -14,8 +14,12 @@
 //   { "ms": 60, "write": [[address, half-word], ...] }: the program itself is changed, until the next start
 //   { "ms": 70, "fault": true }: the processor takes a hard fault; the report says when
 //
+// With "adc": true the sound is a file of 12-bit counts (u16, low byte first), eight for each sample of sound, the 300 ms while a microphone
+// settles too.
+//
 // What the emulator lacks, and who steps in (chip.mjs has more):
 //   PIO's clock divider    its state machines run as fast as may be: this file steps them at the divisor that the program set;
+//   the ADC's clock        its own alarms come late by an instruction each time: counts are handed over here, at the divisor that the program set;
 //   the host's DTR         is sent to the device instead of its serial interface: sent here.
 import { readFileSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
@@ -64,8 +68,52 @@ class Microphone {
     return (sample << BELOW) | ((this.noise >>> 19) & 0x1f00);
   }
 
+  /** Samples since it has settled. */
+  get position() {
+    return this.slots - SETTLING;
+  }
+
   get over() {
-    return this.slots - SETTLING - this.samples.length;
+    return this.position - this.samples.length;
+  }
+}
+
+/** An amplifier at GP26, heard by the ADC's own clock. */
+class Voltage {
+  static FACTOR = 8;
+  static CLOCK_HZ = 48e6;
+
+  constructor({ adc }, counts) {
+    this.adc = adc;
+    this.counts = counts;
+    this.place = 0;
+    /** The ADC's cycles since the last count. */
+    this.waited = 0;
+    adc.onADCRead = () => {};
+    adc.multiShotAlarm.schedule = () => (adc.busy = true);
+  }
+
+  /** Of the ADC's cycles so many pass until the next count. */
+  get next() {
+    return this.adc.enabled && this.adc.busy ? this.adc.divider - this.waited : Infinity;
+  }
+
+  pass(cycles) {
+    if (this.next === Infinity) return;
+    const { adc, counts } = this;
+    for (this.waited += cycles; this.next <= 0; this.place++) {
+      if (adc.activeChannel !== 0) throw new Error(`the ADC listens to input ${adc.activeChannel}`);
+      this.waited -= adc.divider;
+      adc.completeADCRead(counts[Math.min(this.place, counts.length - 1)], false);
+    }
+  }
+
+  get position() {
+    return this.place / Voltage.FACTOR - (SETTLING + 1);
+  }
+
+  get over() {
+    return (this.place - this.counts.length) / Voltage.FACTOR;
   }
 }
 
@@ -127,9 +175,9 @@ class Host {
   }
 }
 
-const { flash, sound, folder, stack, events, restarts = 0, milliseconds = 60000 } = JSON.parse(readFileSync(process.argv[2]));
+const { flash, sound, adc = false, folder, stack, events, restarts = 0, milliseconds = 60000 } = JSON.parse(readFileSync(process.argv[2]));
 const pcm = readFileSync(sound);
-const samples = new Int16Array(pcm.buffer, pcm.byteOffset, pcm.length >> 1);
+const samples = new (adc ? Uint16Array : Int16Array)(pcm.buffer, pcm.byteOffset, pcm.length >> 1);
 const said = { usb: [], uart: [] };
 const board = new Board(flash);
 const report = { cycles: 0, awake: 0, misses: 0, blinks: 0, starts: [] };
@@ -156,7 +204,7 @@ function live() {
   const chip = board.boot();
   const { mcu } = chip;
   const host = new Host(chip, said);
-  const microphone = new Microphone(mcu, samples);
+  const microphone = new (adc ? Voltage : Microphone)(mcu, samples);
   mcu.gpio[LED].addListener(() => report.blinks++);
   const pio = mcu.pio[0];
   pio.run = () => {};
@@ -168,10 +216,10 @@ function live() {
   // Until a tenth of a second after the sound.
   while ((microphone.over < 1600 || report.starts.length < restarts) && nanos < milliseconds * 1e6 && !chip.reset) {
     let spent;
-    if (core.waiting || chip.lockedUp) {
-      // To whatever comes first: a timer, or the next step of PIO.
+    if (chip.sleeps || chip.lockedUp) {
+      // To whatever comes first: a timer, the next step of PIO, or the ADC's next count.
       const alarm = Math.max(1, Math.ceil(clock.nanosToNextAlarm / cycleNanos()));
-      spent = Math.max(1, Math.min(alarm, Math.ceil(nextStep - cycles)));
+      spent = Math.max(1, Math.min(alarm, Math.ceil(nextStep - cycles), adc ? Math.ceil((microphone.next * mcu.clkSys) / Voltage.CLOCK_HZ) : Infinity));
     } else {
       spent = chip.step();
       report.awake += spent;
@@ -179,19 +227,21 @@ function live() {
     cycles += spent;
     clock.tick(spent * cycleNanos());
     nanos = began + clock.nanos;
+    if (adc) microphone.pass((spent * Voltage.CLOCK_HZ) / mcu.clkSys);
     if (!pio.stopped) {
       const machine = pio.machines[0];
       const period = machine.clockDivInt + machine.clockDivFrac / 256;
       if (nextStep === Infinity) nextStep = cycles;
       for (; nextStep <= cycles; nextStep += period) pio.step();
     }
-    while (events.length > 0 && microphone.over + microphone.samples.length >= events[0].ms * 16) host.happen(events.shift());
+    while (events.length > 0 && microphone.position >= events[0].ms * 16) host.happen(events.shift());
     host.send();
   }
   report.cycles += cycles;
   report.misses += chip.cache.misses;
   report.clockHz = mcu.clkSys;
-  report.bitClock = mcu.clkSys / (pio.machines[0].clockDivInt + pio.machines[0].clockDivFrac / 256) / 2;
+  if (adc) report.countClock = Voltage.CLOCK_HZ / mcu.adc.divider;
+  else report.bitClock = mcu.clkSys / (pio.machines[0].clockDivInt + pio.machines[0].clockDivFrac / 256) / 2;
   if (!chip.reset) return false;
   report.starts.push({ why: chip.reset, ms: nanos / 1e6, lockedUp: chip.lockedUp, usb: said.usb.length, uart: said.uart.length });
   return true;

@@ -5,9 +5,13 @@
 //! | GP0, GP1 | UART: what the board sends, what it hears |
 //! | GP2 to GP7, GP20, GP21 | servos, see [`servos`] |
 //! | GP16, GP17, GP18 | I²S: bit clock, word select, data |
+//! | GP23, GP26 | with the feature `adc`: the regulator's way, the microphone's voltage |
 //! | GP25 | LED |
+#[cfg(feature = "adc")]
+mod adc;
 mod fast;
 mod hot;
+#[cfg(not(feature = "adc"))]
 mod i2s;
 #[cfg(feature = "defmt")]
 #[path = "../common/log.rs"]
@@ -17,6 +21,7 @@ mod model;
 #[path = "../common/servos.rs"]
 mod servo_flash;
 mod servos;
+mod sound;
 #[path = "../common/trouble.rs"]
 mod trouble;
 mod uart;
@@ -36,9 +41,10 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::hal;
 use hal::Clock as _;
-use hal::gpio::{FunctionPio0, FunctionUart, Pins, PullDown, PullUp};
+#[cfg(not(feature = "adc"))]
+use hal::gpio::FunctionPio0;
+use hal::gpio::{FunctionUart, Pins, PullDown, PullUp};
 use hal::pac;
-use i2s::Microphone;
 use model::Kind;
 use servos::{Servos, Ways};
 
@@ -170,7 +176,15 @@ pub(crate) fn run() -> ! {
     let servos = make_servos(ways, model);
     let app = make_app(model, ports, Microseconds(timer), servos);
     app.model_refused(refused);
-    let mut microphone = Microphone::begin(
+    #[cfg(feature = "adc")]
+    let mut microphone = adc::Microphone::begin(
+        board.ADC,
+        board.DMA,
+        &mut board.RESETS,
+        (pins.gpio26, pins.gpio23),
+    );
+    #[cfg(not(feature = "adc"))]
+    let mut microphone = i2s::Microphone::begin(
         board.PIO0,
         board.DMA,
         &mut board.RESETS,

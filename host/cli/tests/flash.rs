@@ -324,6 +324,23 @@ fn features_go_to_cargo() {
     ];
     let said = succeed(&folder, &[&words[..], &["--log"]].concat());
     assert!(said.contains(" --features pico2,defmt --bin pico2 "), "{said}");
+    let words = [
+        "flash",
+        "--board",
+        "pico",
+        "--source",
+        root,
+        "--probe",
+        "--dry-run",
+        "--microphone",
+    ];
+    let said = succeed(&folder, &[&words[..], &["adc", "--log"]].concat());
+    assert!(said.contains(" --features pico,adc,defmt --bin pico "), "{said}");
+    let said = succeed(&folder, &[&words[..], &["i2s"]].concat());
+    assert!(said.contains(" --features pico --bin pico "), "{said}");
+    let said = refuse(&folder, &[&words[..], &["pdm"]].concat());
+    let wanted = "the program for the Raspberry Pi Pico hears by i2s and adc";
+    assert!(said.contains(wanted), "{said}");
     let said = refuse(
         &folder,
         &[

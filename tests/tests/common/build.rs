@@ -16,6 +16,17 @@ pub(crate) const BOARDS: [(&str, &str); 5] = [
 
 /// Builds the firmware for a board in a Cargo profile, with these tables or the shipped ones; puts the program into `folder`.
 pub(crate) fn build_firmware(board: &str, folder: &Path, profile: &str, tables: Option<&[u8]>) -> PathBuf {
+    build_firmware_with(board, board, folder, profile, tables)
+}
+
+/// The same with these Cargo features, the board's among them.
+pub(crate) fn build_firmware_with(
+    board: &str,
+    features: &str,
+    folder: &Path,
+    profile: &str,
+    tables: Option<&[u8]>,
+) -> PathBuf {
     /// Both builds would leave their program at the same place.
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     let _guard = ONE_AT_A_TIME.lock().expect("no build before this one failed");
@@ -27,7 +38,7 @@ pub(crate) fn build_firmware(board: &str, folder: &Path, profile: &str, tables: 
     cargo
         .current_dir(root())
         .args(["build", "--locked", "--package", "lipstream-firmware"])
-        .args(["--features", board, "--bin", board])
+        .args(["--features", features, "--bin", board])
         .args(["--profile", profile, "--target", processor])
         .arg("--target-dir")
         .arg(target)

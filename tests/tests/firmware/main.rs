@@ -6,4 +6,5 @@ mod boards;
 mod compare;
 mod mps2;
 mod pico;
+mod pico_adc;
 mod servos;

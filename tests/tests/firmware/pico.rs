@@ -48,12 +48,12 @@ pub(crate) fn flashed() -> &'static PathBuf {
 }
 
 /// What a board said.
-struct Said {
-    usb: Vec<ToHost>,
-    uart: Vec<ToHost>,
-    report: Value,
+pub(crate) struct Said {
+    pub(crate) usb: Vec<ToHost>,
+    pub(crate) uart: Vec<ToHost>,
+    pub(crate) report: Value,
     /// What the links noticed.
-    losses: [Losses; 2],
+    pub(crate) losses: [Losses; 2],
 }
 
 /// Lets the board hear `samples` while the host does `events`.
@@ -63,7 +63,11 @@ fn run(name: &str, samples: &[i16], events: &[Value]) -> Said {
 
 /// The same with any job for the emulator, when the board runs this model.
 fn run_with(model: &AnyModel, name: &str, samples: &[i16], job: Value) -> Said {
-    let folder = emulate(name, samples, job);
+    read(model, &emulate(name, samples, job))
+}
+
+/// What a board that runs this model said, from the folder with what came of it.
+pub(crate) fn read(model: &AnyModel, folder: &Path) -> Said {
     let read = |port: &str| {
         let mut link = Link::new(Some(model.head().id()));
         let mut messages = Vec::new();
@@ -82,8 +86,14 @@ fn run_with(model: &AnyModel, name: &str, samples: &[i16], job: Value) -> Said {
     }
 }
 
-/// The same with any job for the emulator; the folder with what came of it.
-pub(crate) fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
+/// Any job for the emulator, in which a board hears `samples`; the folder with what came of it.
+pub(crate) fn emulate(name: &str, samples: &[i16], job: Value) -> PathBuf {
+    let sound: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
+    emulate_bytes(name, &sound, job)
+}
+
+/// The same with the bytes of the sound's file.
+pub(crate) fn emulate_bytes(name: &str, sound: &[u8], mut job: Value) -> PathBuf {
     let emulator = common::root().join("tests/rp2040");
     assert!(
         emulator.join("node_modules/rp2040js").is_dir(),
@@ -93,7 +103,6 @@ pub(crate) fn emulate(name: &str, samples: &[i16], mut job: Value) -> PathBuf {
     if job.get("flash").is_none() {
         job["flash"] = json!([flashed()]);
     }
-    let sound: Vec<u8> = samples.iter().flat_map(|sample| sample.to_le_bytes()).collect();
     std::fs::write(folder.join("sound.pcm"), sound).expect("write the sound");
     job["sound"] = json!(folder.join("sound.pcm"));
     job["folder"] = json!(folder);
@@ -128,7 +137,7 @@ pub(crate) fn model() -> AnyModel<'static> {
     AnyModel::new_checked(MODEL.get_or_init(common::shipped_tables)).expect("the shipped model")
 }
 
-fn last_status(messages: &[ToHost]) -> Status {
+pub(crate) fn last_status(messages: &[ToHost]) -> Status {
     let status = messages.iter().rev().find_map(|message| match message {
         ToHost::Status(status) => Some(*status),
         _ => None,

@@ -38,6 +38,9 @@ pub(crate) struct Args {
     /// Source tree of lipstream [default: the one around this folder]
     #[arg(long, value_name = "DIR", conflicts_with = "program")]
     source: Option<PathBuf>,
+    /// What the program hears by: i2s, or adc (an amplifier's voltage, on a Pico); pdm on boards that bring a microphone [default: the board's first]
+    #[arg(long, value_name = "NAME", conflicts_with = "program")]
+    microphone: Option<String>,
     /// The program also logs for a debug probe: starts, refusals, counters once a second, how it ends (docs/firmware.md)
     #[arg(long, conflicts_with = "program")]
     log: bool,
@@ -66,6 +69,13 @@ enum Way {
 
 pub(crate) fn run(args: Args) -> Result<()> {
     let board = Board::named(&args.board).context("no such board")?;
+    let only_parts = args.model.is_some() || args.built_in || args.servos.is_some();
+    if only_parts && (args.microphone.is_some() || args.log) {
+        bail!(
+            "--microphone and --log are of a program that is built here, and --model, --built-in and --servos write none: call this twice"
+        );
+    }
+    let features = features(&args, board)?;
     let mut steps = Steps::default();
     let way = match way(&args, board) {
         Ok(way) => way,
@@ -75,13 +85,6 @@ pub(crate) fn run(args: Args) -> Result<()> {
         }
         Err(missing) => return Err(missing),
     };
-    let only_parts = args.model.is_some() || args.built_in || args.servos.is_some();
-    let features: Vec<&str> = args.log.then_some("defmt").into_iter().collect();
-    if only_parts && !features.is_empty() {
-        bail!(
-            "--log is of a program that is built here, and none is where --model, --built-in or --servos is written alone: call this twice"
-        );
-    }
     let source = match &args.program {
         None if !only_parts => Some(Source::find(args.source.as_deref(), board, &features)?),
         _ => None,
@@ -118,6 +121,23 @@ pub(crate) fn run(args: Args) -> Result<()> {
             Ok(())
         }
     }
+}
+
+/// Cargo features beside the board's.
+fn features(args: &Args, board: &Board) -> Result<Vec<&'static str>> {
+    let microphone = match &args.microphone {
+        None => None,
+        Some(name) => board.microphone(name).map_err(|names| {
+            anyhow::anyhow!(
+                "--microphone {name}: the program for the {} hears by {names}",
+                board.title
+            )
+        })?,
+    };
+    Ok(microphone
+        .into_iter()
+        .chain(args.log.then_some("defmt"))
+        .collect())
 }
 
 fn way(args: &Args, board: &Board) -> Result<Way> {

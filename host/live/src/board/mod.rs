@@ -28,6 +28,8 @@ pub struct Board {
     symbol: &'static str,
     /// What its program moves servos by.
     drivers: &'static [Driver],
+    /// What its program can hear by, and the Cargo feature for it; the first where nobody asks for another.
+    microphones: &'static [(&'static str, Option<&'static str>)],
     /// Its boot loader's drive; None where it has none.
     pub drive: Option<Drive>,
 }
@@ -45,6 +47,7 @@ pub struct Drive {
     pub how: &'static str,
 }
 
+const I2S: (&str, Option<&str>) = ("i2s", None);
 const PICO_DRIVERS: &[Driver] = &[Driver::Pins, Driver::Pca9685];
 
 /// Every board.
@@ -56,6 +59,7 @@ pub static BOARDS: [Board; 4] = [
         chip: "RP2040",
         symbol: "BOARD_PICO",
         drivers: PICO_DRIVERS,
+        microphones: &[I2S, ("adc", Some("adc"))],
         drive: Some(Drive {
             program: 0xe48b_ff56,
             other: 0xe48b_ff56,
@@ -70,6 +74,7 @@ pub static BOARDS: [Board; 4] = [
         chip: "RP235x",
         symbol: "BOARD_PICO2",
         drivers: PICO_DRIVERS,
+        microphones: &[I2S],
         drive: Some(Drive {
             program: 0xe48b_ff59,
             // What is written at the addresses that it names; every other family goes to the start of flash, or of a partition.
@@ -85,6 +90,7 @@ pub static BOARDS: [Board; 4] = [
         chip: "nRF52840_xxAA",
         symbol: "BOARD_XIAO_SENSE",
         drivers: &[Driver::Pins],
+        microphones: &[("pdm", None)],
         drive: Some(Drive {
             program: 0xada5_2840,
             other: 0xada5_2840,
@@ -99,6 +105,7 @@ pub static BOARDS: [Board; 4] = [
         chip: "nRF52840_xxAA",
         symbol: "BOARD_NANO33_SENSE",
         drivers: &[Driver::Pins],
+        microphones: &[("pdm", None)],
         drive: None,
     },
 ];
@@ -190,6 +197,19 @@ impl Board {
     /// The board of this name.
     pub fn named(name: &str) -> Option<&'static Self> {
         BOARDS.iter().find(|board| board.name == name)
+    }
+
+    /// The Cargo feature beside the board's for a microphone of this name, if it takes one.
+    ///
+    /// # Errors
+    ///
+    /// Names of those that the board has.
+    pub fn microphone(&self, name: &str) -> Result<Option<&'static str>, String> {
+        let known = self.microphones.iter().find(|(known, _)| *known == name);
+        known.map(|(_, feature)| *feature).ok_or_else(|| {
+            let names: Vec<&str> = self.microphones.iter().map(|(name, _)| *name).collect();
+            names.join(" and ")
+        })
     }
 
     /// The region that is kept for another model than the program's own.
