@@ -14,7 +14,7 @@ use lipstream_make::landmarks::labeller::UNSURE;
 use lipstream_make::landmarks::search::{FaceFinder, errors};
 use lipstream_make::landmarks::{Example, Labeller, Look};
 use lipstream_media::video;
-use ndarray::{Array1, Axis};
+use ndarray::Array1;
 use rayon::prelude::*;
 
 /// Numbers of labelled pictures in the table.
@@ -84,15 +84,6 @@ fn path(clip: &ClipFiles) -> &Path {
     clip.video.as_deref().unwrap_or(Path::new(""))
 }
 
-/// The true points of a picture.
-fn truth(landmarks: &Landmarks, clip: &str, picture: usize) -> Option<Array1<f32>> {
-    let points = landmarks.of(clip)?;
-    (picture < points.dim().0)
-        .then(|| points.index_axis(Axis(0), picture))
-        .filter(|row| row.iter().all(|v| v.is_finite()))
-        .map(|row| row.iter().copied().collect())
-}
-
 /// Pictures that may be labelled.
 fn pool(folder: &Path, landmarks: &Landmarks) -> Result<Vec<Example>> {
     let all = clips(folder)?;
@@ -103,7 +94,7 @@ fn pool(folder: &Path, landmarks: &Landmarks) -> Result<Vec<Example>> {
         let pictures = (0..OF_EACH).map(|n| (2 * n + 1) * frames.len() / (2 * OF_EACH));
         let example = |picture| {
             Some(Example {
-                points: truth(landmarks, &clip.id, picture)?,
+                points: landmarks.picture(&clip.id, picture)?,
                 look: Look::new(&frames, picture, &mut finder),
             })
         };
@@ -167,7 +158,7 @@ fn judge(
         let mut out = Vec::new();
         for picture in 0..frames.len() {
             let found = labeller.follow(&frames, picture, before.as_ref().map(|b| b.view()), &mut finder);
-            let truth = truth(landmarks, &clip.id, picture);
+            let truth = landmarks.picture(&clip.id, picture);
             if let (Some((fit, confidence)), Some(truth)) = (&found, truth) {
                 out.push((*confidence, errors(fit.points.view(), truth.view())));
             }

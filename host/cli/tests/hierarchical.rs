@@ -422,4 +422,7 @@ fn labels_are_rewritten_without_a_video() {
     let refused = one_line(rewrite(&["none_1.pts"], "no.csv"));
     assert!(refused.contains("none_1.pts"), "{refused}");
     assert!(!root.join("no.csv").exists());
+    let refused = one_line(rewrite(&["walk.csv"], "walk.csv"));
+    assert!(refused.contains("walk.csv"), "{refused}");
+    assert_eq!(std::fs::read_to_string(root.join("walk.csv")).unwrap(), table);
 }

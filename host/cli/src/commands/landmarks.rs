@@ -8,6 +8,7 @@ use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
 
+use super::streams;
 use crate::progress::Terminal;
 
 /// Pictures that are named when they are to be looked at; of more only the number is said.
@@ -51,6 +52,8 @@ pub(crate) fn run(args: Args) -> Result<()> {
         "{}: landmarks are written as .npz or .csv; give the output such an ending",
         args.output.display()
     );
+    let read = args.labelled.iter().chain(&args.video);
+    streams::keep_apart(&args.output, read.map(PathBuf::as_path))?;
     let clips = args.video.as_deref().map(clips).transpose()?;
     let how = How {
         first_picture: args.first_picture.into(),

@@ -87,6 +87,18 @@ impl Labels {
 /// A labelled clip that is not among the videos, a labelled picture that its video does not have, a video that cannot be decoded.
 pub fn learn(clips: &[ClipFiles], labelled: &Landmarks, progress: &dyn Progress) -> Result<Labeller> {
     let all = labelled.labelled();
+    let video = |clip: &str| {
+        clips
+            .iter()
+            .find(|files| files.id == clip && files.video.is_some())
+    };
+    if let Some((clip, _)) = all.iter().find(|(clip, _)| video(clip).is_none()) {
+        bail!(
+            Data,
+            "pictures of a clip {clip} are labelled, but there is no such video: {}",
+            among(clips)
+        );
+    }
     let step = all.len().div_ceil(MOST_EXAMPLES).max(1);
     let mut wanted: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (clip, picture) in all.iter().step_by(step) {
@@ -99,15 +111,8 @@ pub fn learn(clips: &[ClipFiles], labelled: &Landmarks, progress: &dyn Progress)
         ));
     }
     let of_clip = |(clip, pictures): (&&str, &Vec<usize>)| -> Result<Vec<Example>> {
-        let files = clips
-            .iter()
-            .find(|files| files.id == *clip && files.video.is_some());
-        let Some(files) = files else {
-            bail!(
-                Data,
-                "pictures of a clip {clip} are labelled, but there is no such video: {}",
-                among(clips)
-            );
+        let Some(files) = video(clip) else {
+            return Ok(Vec::new());
         };
         let mut examples = Vec::new();
         let mut finder = FaceFinder::new()?;
