@@ -13,6 +13,7 @@
 //! | `gate` | How often the states that gate the maps are of the labelled phone and viseme. |
 //! | `header` | Writes the C header of the core, `core/capi/lipstream.h`. |
 //! | `hierarchical` | A hierarchical model's own numbers against recorded faces, and strangers' voices before it. |
+//! | `landmarks` | How far found landmarks are off, against how many pictures were labelled: `landmarks CORPUS LANDMARKS`. |
 //! | `pictures` | Drawn mouths against recorded ones, with and without fine detail. |
 //! | `recognition` | Phone recognition under several settings, against labels. |
 //! | `site` | Writes a page that turns a microphone into a mouth without a server: `site [FOLDER] [MODEL.safetensors]`. |
@@ -35,6 +36,7 @@ mod gate;
 mod generated;
 mod header;
 mod hierarchical;
+mod landmarks;
 mod pictures;
 mod recognition;
 mod site;
@@ -57,6 +59,7 @@ const TOOLS: &[Tool] = &[
     ("gate", gate::run),
     ("header", header::run),
     ("hierarchical", hierarchical::run),
+    ("landmarks", landmarks::run),
     ("pictures", pictures::run),
     ("recognition", recognition::run),
     ("site", site::run),

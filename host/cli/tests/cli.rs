@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use common::program::{program, refuse, run, succeed};
 use lipstream_core::{AnyModel, Model, Recurrent, StreamSettings};
 
-const COMMANDS: [&str; 20] = [
+const COMMANDS: [&str; 21] = [
     "align",
     "check",
     "completions",
@@ -19,6 +19,7 @@ const COMMANDS: [&str; 20] = [
     "features",
     "flash",
     "folds",
+    "landmarks",
     "man",
     "mos",
     "prepare",

@@ -311,3 +311,118 @@ fn what_cannot_be_trained_is_said_in_one_line() {
     );
     assert!(!root.join("m.safetensors").exists());
 }
+
+/// The points of some pictures as a table: every `step`-th of each of `clips`.
+fn labelled(root: &Path, clips: &[&str], step: usize) -> String {
+    let mut table = "clip,picture".to_owned();
+    for (run, size) in [("lips_outer", 4), ("lips_inner", 4), ("head", 5)] {
+        (0..size).for_each(|k| table += &format!(",x_{run}_{k},y_{run}_{k}"));
+    }
+    for clip in clips {
+        let points = truth(root, clip);
+        for (picture, row) in points.outer_iter().enumerate().step_by(step) {
+            table += &format!("\n{clip},{picture}");
+            row.iter().for_each(|v| table += &format!(",{v}"));
+        }
+    }
+    table + "\n"
+}
+
+fn truth(root: &Path, clip: &str) -> Array3<f32> {
+    lipstream::npy::read_array(&root.join(format!("landmarks/{clip}.npy"))).unwrap()
+}
+
+#[test]
+fn a_few_labelled_pictures_give_the_landmarks_of_all() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    heads(root);
+    std::fs::write(
+        root.join("some.csv"),
+        labelled(root, &["clip00", "clip05", "clip09"], 6),
+    )
+    .unwrap();
+    let label = |video: &str, out: &str| {
+        let words = ["landmarks", video, "--labelled", "some.csv", "-o", out];
+        run_with_programs(root, &words)
+    };
+    let done = label("videos", "all.npz");
+    let said = text(&done.stderr);
+    assert!(done.status.success(), "{said}");
+    assert!(said.contains("is found with a median error of"), "{said}");
+    assert!(said.contains("1170 pictures of 18 clips"), "{said}");
+    let found = lipstream_make::hierarchical::Landmarks::read(&root.join("all.npz")).unwrap();
+    assert!(found.labelled().len() > 1170 * 9 / 10, "{said}");
+    let mut off = Vec::new();
+    for clip in ["clip03", "clip12", "clip15"] {
+        let truth = truth(root, clip);
+        assert_eq!(found.of(clip).unwrap().dim(), truth.dim());
+        for (a, b) in found.of(clip).unwrap().outer_iter().zip(truth.outer_iter()) {
+            let far = |k: usize| (a[(k, 0)] - b[(k, 0)]).hypot(a[(k, 1)] - b[(k, 1)]) / (HEAD - 5) as f32;
+            // Outer and inner lips: the head's corners do not move.
+            off.extend((0..8).map(far));
+        }
+    }
+    off.sort_by(f32::total_cmp);
+    let median = off[off.len() / 2];
+    assert!(median < 0.02, "the lips are off by {median} of the head's width");
+
+    // What comes out trains a model.
+    let mut train = TRAIN.to_vec();
+    train[5] = "all.npz";
+    train[11] = "60";
+    train.extend(["--clusters", "4", "--starts", "1"]);
+    let trained = run_with_programs(root, &train);
+    assert!(trained.status.success(), "{}", text(&trained.stderr));
+
+    // Labels that do not belong to the videos, and outputs that cannot be; nothing half written is left behind.
+    let refused = one_line(label("videos/clip15.mp4", "one.csv"));
+    assert!(
+        refused.contains("clip00") && refused.contains("there is clip15"),
+        "{refused}"
+    );
+    let refused = one_line(label("videos", "all.txt"));
+    assert!(refused.contains(".npz or .csv"), "{refused}");
+    std::fs::write(root.join("videos/clip05.mp4"), "no video").unwrap();
+    let refused = one_line(label("videos", "again.csv"));
+    assert!(refused.contains("clip05.mp4"), "{refused}");
+    assert!(!root.join("again.csv").exists() && !root.join("one.csv").exists());
+}
+
+#[test]
+fn labels_are_rewritten_without_a_video() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let points = "version: 1\nn_points: 3\n{\n11 21\n31 21\n21 41\n}\n";
+    std::fs::write(root.join("walk_1.pts"), points).unwrap();
+    std::fs::write(root.join("walk_3.pts"), points).unwrap();
+    let rewrite = |labelled: &[&str], out: &str| {
+        let words = [&["landmarks", "--labelled"], labelled, &["-o", out]].concat();
+        common::program::run(root, &words)
+    };
+    let done = rewrite(&["walk_1.pts", "walk_3.pts"], "walk.csv");
+    assert!(done.status.success(), "{}", text(&done.stderr));
+    let table = std::fs::read_to_string(root.join("walk.csv")).unwrap();
+    let lines: Vec<&str> = table.lines().collect();
+    assert_eq!(
+        lines,
+        [
+            "clip,picture,confidence,x_0,y_0,x_1,y_1,x_2,y_2",
+            "walk,0,1.000,10.000,20.000,30.000,20.000,20.000,40.000",
+            "walk,1,0.000,,,,,,",
+            "walk,2,1.000,10.000,20.000,30.000,20.000,20.000,40.000",
+        ]
+    );
+    std::fs::write(root.join("damaged_2.pts"), &points[..30]).unwrap();
+    let refused = one_line(rewrite(&["walk_1.pts", "damaged_2.pts"], "no.csv"));
+    assert!(
+        refused.contains("damaged_2.pts") && refused.contains("cut short"),
+        "{refused}"
+    );
+    let refused = one_line(rewrite(&["none_1.pts"], "no.csv"));
+    assert!(refused.contains("none_1.pts"), "{refused}");
+    assert!(!root.join("no.csv").exists());
+    let refused = one_line(rewrite(&["walk.csv"], "walk.csv"));
+    assert!(refused.contains("walk.csv"), "{refused}");
+    assert_eq!(std::fs::read_to_string(root.join("walk.csv")).unwrap(), table);
+}

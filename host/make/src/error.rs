@@ -62,7 +62,12 @@ macro_rules! from {
     )*};
 }
 
-from!(std::io::Error, ndarray::ShapeError, serde_json::Error);
+from!(
+    std::io::Error,
+    ndarray::ShapeError,
+    serde_json::Error,
+    lipstream_media::video::VideoError
+);
 
 /// Says what was being done when an error happened.
 pub(crate) trait Context<T> {

@@ -34,6 +34,7 @@ pub mod features;
 pub mod folds;
 mod hash;
 pub mod hierarchical;
+pub mod landmarks;
 pub mod mge;
 pub mod mos;
 pub mod noise;

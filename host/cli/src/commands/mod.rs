@@ -24,6 +24,7 @@ mod faces;
 mod features;
 mod flash;
 mod folds;
+mod landmarks;
 mod manual;
 mod mos;
 mod prepare;
@@ -63,6 +64,7 @@ enum Command {
     Features(features::Args),
     Flash(flash::Args),
     Folds(folds::Args),
+    Landmarks(landmarks::Args),
     Man(manual::Man),
     Mos(mos::Args),
     Prepare(prepare::Args),
@@ -99,6 +101,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> Result<()> {
         Command::Features(args) => features::run(args),
         Command::Flash(args) => flash::run(args),
         Command::Folds(args) => folds::run(args),
+        Command::Landmarks(args) => landmarks::run(args),
         Command::Man(args) => manual::man(&args, Cli::command()),
         Command::Mos(args) => mos::run(args),
         Command::Prepare(args) => prepare::run(args),

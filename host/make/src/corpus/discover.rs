@@ -61,6 +61,25 @@ pub struct ClipFiles {
 }
 
 impl ClipFiles {
+    /// A video alone, called by its stem.
+    pub fn of_video(path: &Path) -> Self {
+        let stem = path
+            .file_stem()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
+        Self {
+            id: stem.clone(),
+            speaker: stem.clone(),
+            split: Split::Train,
+            video: Some(path.to_owned()),
+            part: None,
+            sound: None,
+            labels: Vec::new(),
+            stem,
+        }
+    }
+
     /// The file that the sound comes from.
     pub fn sound_path(&self) -> &Path {
         self.sound

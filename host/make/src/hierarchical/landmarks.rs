@@ -2,7 +2,8 @@
 //!
 //! Two layouts are read. A folder holds `ID.npy` for each clip: f32 `[pictures, landmarks, 2]`, x and y in pixels of the video, whose pixels have their centres at whole
 //! numbers, not finite where there is no face; and, where it says so, `groups.json`: `[["lips_outer", 20], ["lips_inner", 16], …]`. A NumPy archive (`.npz`) holds all clips: `clips`, their names; `points_x32`, i16 `[clips, pictures, landmarks, 2]`, pixels × 32, −32768
-//! where there is none; and, where it says so, `groups` and `group_sizes`, names and sizes of runs of landmarks that belong together, such as `lips_outer`, 20.
+//! where there is none, or `points`, f32, not finite where there is none; and, where it says so, `pictures`, how many of them each clip has, and `groups` and `group_sizes`, names and sizes of runs of landmarks that belong together, such as `lips_outer`, 20.
+//! The table that `lipstream landmarks` writes (`.csv`) is read too.
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Read as _;
@@ -11,9 +12,13 @@ use std::path::Path;
 use lipstream::kinds::hierarchical::Tree;
 use lipstream::npy;
 use lipstream_media::files;
-use ndarray::{Array1, Array3, Array4};
+use ndarray::{Array1, Array3, Array4, Axis, s};
 
 use crate::error::{Context as _, Error, Result, bail, ensure};
+use crate::landmarks::table;
+
+/// Runs of landmarks that belong together, and their names.
+pub type Groups = Vec<(String, std::ops::Range<usize>)>;
 
 /// In a `.npz`: units in a pixel.
 const UNITS: f32 = 32.0;
@@ -25,7 +30,7 @@ const MOST_BYTES: u64 = 1 << 30;
 pub struct Landmarks {
     of: BTreeMap<String, Array3<f32>>,
     count: usize,
-    groups: Vec<(String, std::ops::Range<usize>)>,
+    groups: Groups,
 }
 
 impl Landmarks {
@@ -35,10 +40,11 @@ impl Landmarks {
     ///
     /// What is missing or does not fit, and in which file.
     pub fn read(path: &Path) -> Result<Self> {
-        let found = if path.is_dir() {
-            folder(path)?
-        } else {
-            archive(path)?
+        let is_table = path.extension().is_some_and(|ending| ending == "csv");
+        let found = match path.is_dir() {
+            true => folder(path)?,
+            false if is_table => table::read(path)?,
+            false => archive(path)?,
         };
         ensure!(
             found.count >= 3,
@@ -48,6 +54,61 @@ impl Landmarks {
             found.count
         );
         Ok(found)
+    }
+
+    /// No clip yet, of so many landmarks.
+    pub fn none(count: usize, groups: Groups) -> Self {
+        Self {
+            of: BTreeMap::new(),
+            count,
+            groups,
+        }
+    }
+
+    /// Puts a clip's landmarks `[pictures, landmarks, 2]` in.
+    ///
+    /// # Errors
+    ///
+    /// That they are of another number.
+    pub fn put(&mut self, clip: &str, points: Array3<f32>) -> Result<()> {
+        ensure!(
+            (points.dim().1, points.dim().2) == (self.count, 2),
+            Data,
+            "clip {clip} has {} landmarks in a picture, not {}",
+            points.dim().1,
+            self.count
+        );
+        self.of.insert(clip.to_owned(), points);
+        Ok(())
+    }
+
+    /// Clips and their landmarks, by name.
+    pub fn clips(&self) -> impl Iterator<Item = (&str, &Array3<f32>)> {
+        self.of.iter().map(|(clip, points)| (clip.as_str(), points))
+    }
+
+    /// Runs of landmarks that belong together; none where the file names none.
+    pub fn groups(&self) -> &Groups {
+        &self.groups
+    }
+
+    /// The landmarks x₀, y₀, x₁, … of a picture, None where it has no face or is not labelled.
+    pub fn picture(&self, clip: &str, picture: usize) -> Option<Array1<f32>> {
+        let points = self.of(clip)?;
+        (picture < points.dim().0)
+            .then(|| points.index_axis(Axis(0), picture))
+            .filter(|row| row.iter().all(|v| v.is_finite()))
+            .map(|row| row.iter().copied().collect())
+    }
+
+    /// Clips and pictures that have landmarks, in order.
+    pub fn labelled(&self) -> Vec<(&str, usize)> {
+        self.clips()
+            .flat_map(|(clip, points)| {
+                let whole = |t: &usize| points.index_axis(Axis(0), *t).iter().all(|v| v.is_finite());
+                (0..points.dim().0).filter(whole).map(move |t| (clip, t))
+            })
+            .collect()
     }
 
     /// Landmarks of a picture.
@@ -78,6 +139,11 @@ impl Landmarks {
             "the landmark file does not say which landmarks are lips: say with --tree FILE.json which belong to the mouth"
         );
         Ok(Tree::face_and_mouth(lips))
+    }
+
+    /// Where the runs of landmarks begin; none where the file names no groups.
+    pub fn starts(&self) -> Vec<usize> {
+        self.groups.iter().map(|(_, range)| range.start).collect()
     }
 
     /// The landmarks of the inner lips, in their order around the mouth, where the file names them.
@@ -143,17 +209,44 @@ fn archive(path: &Path) -> Result<Landmarks> {
     };
     let wrong = |array: &str| format!("{name}: its array {array} cannot be used");
     let clips = words(&member("clips")?).with_context(|| wrong("clips"))?;
-    let points: Array4<i16> = npy::parse(&member("points_x32")?)
-        .map_err(Error::File)
-        .with_context(|| wrong("points_x32"))?;
-    let (n, _, count, axes) = points.dim();
+    let array = match member("points") {
+        Ok(_) => "points",
+        Err(_) => "points_x32",
+    };
+    let bytes = member(array)?;
+    let points: Array4<f32> = match array {
+        "points" => npy::parse(&bytes),
+        _ => npy::parse(&bytes).map(|units: Array4<i16>| units.mapv(pixels)),
+    }
+    .map_err(Error::File)
+    .with_context(|| wrong(array))?;
+    let (n, most, count, axes) = points.dim();
     ensure!(
         n == clips.len() && axes == 2,
         File,
-        "{name}: {} clips are named, the shape of points_x32 is {:?}; it must be [clips, pictures, landmarks, 2]",
+        "{name}: {} clips are named, the shape of {array} is {:?}; it must be [clips, pictures, landmarks, 2]",
         clips.len(),
         points.dim()
     );
+    // Clips are as long as the longest where nothing else is said.
+    let lengths: Vec<usize> = match member("pictures") {
+        Err(_) => vec![most; n],
+        Ok(bytes) => {
+            let said: Array1<i64> = npy::parse(&bytes)
+                .map_err(Error::File)
+                .with_context(|| wrong("pictures"))?;
+            let lengths: Vec<usize> = said
+                .iter()
+                .filter_map(|length| usize::try_from(*length).ok().filter(|length| *length <= most))
+                .collect();
+            ensure!(
+                lengths.len() == n,
+                File,
+                "{name}: its array pictures does not say for each of {n} clips how many of {most} pictures it has"
+            );
+            lengths
+        }
+    };
     let groups = match (member("groups"), member("group_sizes")) {
         (Ok(names), Ok(sizes)) => {
             let names = words(&names).with_context(|| wrong("groups"))?;
@@ -164,16 +257,11 @@ fn archive(path: &Path) -> Result<Landmarks> {
         }
         _ => Vec::new(),
     };
-    let pixels = |v: i16| {
-        if v == i16::MIN {
-            f32::NAN
-        } else {
-            f32::from(v) / UNITS
-        }
-    };
+    let of_clip =
+        |(clip, length): (ndarray::ArrayView3<f32>, usize)| clip.slice(s![..length, .., ..]).to_owned();
     let of = clips
         .into_iter()
-        .zip(points.outer_iter().map(|clip| clip.mapv(pixels)));
+        .zip(points.outer_iter().zip(lengths).map(of_clip));
     Ok(Landmarks {
         of: of.collect(),
         count,
@@ -181,8 +269,16 @@ fn archive(path: &Path) -> Result<Landmarks> {
     })
 }
 
+/// A number of `points_x32`.
+fn pixels(units: i16) -> f32 {
+    match units {
+        i16::MIN => f32::NAN,
+        units => f32::from(units) / UNITS,
+    }
+}
+
 /// Runs of landmarks that follow each other.
-fn runs(names: Vec<String>, sizes: &[i64], count: usize) -> Result<Vec<(String, std::ops::Range<usize>)>> {
+fn runs(names: Vec<String>, sizes: &[i64], count: usize) -> Result<Groups> {
     let mut begin = 0usize;
     let mut out = Vec::new();
     for (name, size) in names.into_iter().zip(sizes) {
@@ -234,25 +330,9 @@ fn words(bytes: &[u8]) -> Result<Vec<String>> {
 mod tests {
     use super::*;
     use crate::error::chain;
+    use crate::landmarks::archive::word_bytes;
     use ndarray_npy::WriteNpyExt as _;
     use std::io::Write as _;
-
-    fn npy_words(words: &[&str], letters: usize) -> Vec<u8> {
-        let header = format!(
-            "{{'descr': '<U{letters}', 'fortran_order': False, 'shape': ({},), }}\n",
-            words.len()
-        );
-        let mut out = b"\x93NUMPY\x01\x00".to_vec();
-        out.extend((header.len() as u16).to_le_bytes());
-        out.extend(header.bytes());
-        for word in words {
-            let codes = word.chars().map(u32::from).chain(std::iter::repeat(0));
-            codes
-                .take(letters)
-                .for_each(|code| out.extend(code.to_le_bytes()));
-        }
-        out
-    }
 
     fn npz(path: &Path, members: &[(&str, Vec<u8>)]) {
         let mut zip = zip::ZipWriter::new(File::create(path).unwrap());
@@ -282,9 +362,9 @@ mod tests {
         points[(1, 2, 3, 0)] = i16::MIN;
         let sizes = ndarray::array![1i64, 3];
         let members = [
-            ("clips.npy", npy_words(&["ab", "abcd"], 4)),
+            ("clips.npy", word_bytes(&["ab", "abcd"])),
             ("points_x32.npy", bytes(&points)),
-            ("groups.npy", npy_words(&["jaw", "lips_inner"], 10)),
+            ("groups.npy", word_bytes(&["jaw", "lips_inner"])),
             ("group_sizes.npy", bytes(&sizes)),
         ];
         npz(&path, &members);

@@ -24,7 +24,7 @@ pub struct Picked {
     pub files: ClipFiles,
     /// Pictures of the video, in order.
     pub pictures: Vec<usize>,
-    /// Landmarks of each, x₀, y₀, x₁, … in pixels of the video, `[n, 2 × landmarks]`.
+    /// Landmarks of each, x₀, y₀, x₁, … in pixels of the decoded pictures, which of large videos are reduced ([`video::MAX_LINES`]), `[n, 2 × landmarks]`.
     pub landmarks: Array2<f32>,
     /// Mel-cepstra that were heard with each, `[n, 12]`.
     pub cepstra: Array2<f32>,
@@ -122,7 +122,13 @@ fn of_clip(
     let pictures: Vec<usize> = (0..keep)
         .map(|i| whole[(2 * i + 1) * whole.len() / (2 * keep)])
         .collect();
-    let of_pictures = points.select(Axis(0), &pictures);
+    let reduction = match &files.video {
+        Some(video) => video::facts(video).map_err(Error::other)?.reduction,
+        None => 1.0,
+    };
+    let of_pictures = points
+        .select(Axis(0), &pictures)
+        .mapv(|v| (v + 0.5) / reduction - 0.5);
     let samples = sound::read(&folder.wav_path(&clip.id))
         .map_err(Error::other)?
         .samples;

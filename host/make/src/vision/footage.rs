@@ -6,7 +6,7 @@ use std::path::Path;
 use lipstream::affine::Affine;
 use lipstream::progress::{Progress, Steps};
 use lipstream::render::face::{Edge, Footage, Jaw, Pictures, Place};
-use lipstream_media::video::{self, Frames, Part, VideoError};
+use lipstream_media::video::{self, Frames, Part};
 use rayon::prelude::*;
 
 use super::face::{Detector, median};
@@ -109,14 +109,14 @@ fn read(path: &Path, longest_s: f64, progress: &dyn Progress) -> Result<(Picture
         seconds: longest_s,
     };
     let mut pictures: Option<Pictures> = None;
-    let each = |width: usize, height: usize, rgb: &[u8]| -> Result<(), Problem> {
+    let each = |width: usize, height: usize, rgb: &[u8]| -> Result<()> {
         let all = match &mut pictures {
             Some(all) => all,
             None => pictures.insert(Pictures::new(width, height).map_err(Error::other)?),
         };
-        Ok(all.push(rgb).map_err(Error::other)?)
+        all.push(rgb).map_err(Error::other)
     };
-    let rate_hz = video::each_picture(path, Some(part), MAX_LINES, each).map_err(|Problem(error)| error)?;
+    let rate_hz = video::each_picture(path, Some(part), MAX_LINES, each)?;
     let Some(pictures) = pictures else {
         bail!(Data, "there is no picture in {}", path.display());
     };
@@ -127,21 +127,6 @@ fn read(path: &Path, longest_s: f64, progress: &dyn Progress) -> Result<(Picture
         ));
     }
     Ok((pictures, rate_hz))
-}
-
-/// An error of either side, on its way through the reader of pictures.
-struct Problem(Error);
-
-impl From<VideoError> for Problem {
-    fn from(error: VideoError) -> Self {
-        Self(Error::other(error))
-    }
-}
-
-impl From<Error> for Problem {
-    fn from(error: Error) -> Self {
-        Self(error)
-    }
 }
 
 /// Pictures `from..to`, as the tracker takes them.

@@ -109,6 +109,7 @@ fn running_mean(line: &[f32], radius: usize, mut put: impl FnMut(usize, f32)) {
 }
 
 /// The image and its halves; level l's pixel x lies at 2ˡ(x + ½) − ½ of the image.
+#[derive(Clone)]
 pub(crate) struct Pyramid {
     pub levels: Vec<Plane>,
 }
@@ -120,6 +121,12 @@ impl Pyramid {
             planes.push(planes[planes.len() - 1].half());
         }
         Self { levels: planes }
+    }
+
+    /// The level whose pixels are about `spacing` pixels of the image apart, and how many of them exactly.
+    pub(crate) fn at_spacing(&self, spacing: f32) -> (&Plane, f32) {
+        let level = (spacing.max(1.0).log2().round() as usize).min(self.levels.len() - 1);
+        (&self.levels[level], (1u32 << level) as f32)
     }
 }
 

@@ -13,9 +13,9 @@ mod tracker;
 
 pub use colour::ChannelMap;
 pub use eigen::{MouthSamples, eigenmouths, eigenmouths_by_channel};
-pub(crate) use face::Detector;
+pub(crate) use face::{Detector, FaceBox, median};
 pub use footage::{LONGEST_S, footage};
-pub(crate) use image::{colour_planes, luminance};
+pub(crate) use image::{Plane, Pyramid, colour_planes, luminance};
 pub(crate) use landmarks::{CHIN, EYES, Walk};
 pub use landmarks::{LandmarkFinder, Landmarks, Outline};
 pub use tracker::{LipsSeen, MouthTrack, Tracker};

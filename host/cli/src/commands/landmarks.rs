@@ -1,0 +1,123 @@
+//! `lipstream landmarks`: the points of a face in every picture of a video, from a few that are labelled.
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail, ensure};
+use lipstream::progress::Progress as _;
+use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
+use lipstream_make::hierarchical::Landmarks;
+use lipstream_make::landmarks::import::{self, How};
+use lipstream_make::landmarks::{Labels, label};
+
+use super::streams;
+use crate::progress::Terminal;
+
+/// Pictures that are named when they are to be looked at; of more only the number is said.
+const NAMED: usize = 20;
+
+/// Find the points of a face in every picture of videos, from a few pictures that are labelled
+///
+/// An active shape model learns the labelled pictures, about 40 of them, of any number of points, and finds the points in all others; what it is unsure of is named. Labels come from
+/// .pts files (iBUG), tables of OpenFace and MediaPipe (normalised: --size), or what this command writes. Without VIDEO the labels are only rewritten, as .npz or .csv. What comes out
+/// is what `train --system hierarchical --landmarks` reads. docs/hierarchical.md has the forms, and how far points are off.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// A video, or a folder of them
+    video: Option<PathBuf>,
+    /// Labelled pictures: .pts, .csv, .npz or folders of them
+    #[arg(long, value_name = "FILE", required = true, num_args = 1..)]
+    labelled: Vec<PathBuf>,
+    /// Landmarks of every picture: .npz, or .csv to be looked at and corrected
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    /// Number of a clip's first picture in names of .pts and in MediaPipe's column frame
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=1))]
+    first_picture: u8,
+    /// Size of the video in pixels, for labels in shares of it (MediaPipe)
+    #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
+    size: Option<(usize, usize)>,
+}
+
+/// A size such as 1280x720.
+fn size(words: &str) -> Result<(usize, usize), String> {
+    let number = |digits: &str| digits.parse().ok().filter(|n| *n > 0);
+    words
+        .split_once('x')
+        .and_then(|(width, height)| Some((number(width)?, number(height)?)))
+        .ok_or_else(|| "write width and height in pixels, such as 1280x720".to_owned())
+}
+
+pub(crate) fn run(args: Args) -> Result<()> {
+    ensure!(
+        args.output.extension().is_some_and(|e| e == "csv" || e == "npz"),
+        "{}: landmarks are written as .npz or .csv; give the output such an ending",
+        args.output.display()
+    );
+    let read = args.labelled.iter().chain(&args.video);
+    streams::keep_apart(&args.output, read.map(PathBuf::as_path))?;
+    let clips = args.video.as_deref().map(clips).transpose()?;
+    let how = How {
+        first_picture: args.first_picture.into(),
+        size: args.size,
+        clip: match clips.as_deref() {
+            Some([only]) => Some(only.id.clone()),
+            _ => None,
+        },
+    };
+    let labelled = import::read(&args.labelled, &how)?;
+    let labels = match &clips {
+        Some(clips) => found(clips, &labelled)?,
+        None => Labels::known(labelled),
+    };
+    Ok(labels.write(&args.output)?)
+}
+
+/// The videos of a folder; or the one that is given.
+fn clips(path: &Path) -> Result<Vec<ClipFiles>> {
+    if !path.is_dir() {
+        return Ok(vec![ClipFiles::of_video(path)]);
+    }
+    let found = discover(path, None, &Options::default())?.clips;
+    let clips: Vec<ClipFiles> = found.into_iter().filter(|clip| clip.video.is_some()).collect();
+    ensure!(!clips.is_empty(), "{} holds no videos", path.display());
+    Ok(clips)
+}
+
+fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
+    let terminal = Terminal::default();
+    let labeller = label::learn(clips, labelled, &terminal)?;
+    let by_hand = labelled.labelled().len();
+    match labeller.expected() {
+        Some(expected) => terminal.say(&format!(
+            "{by_hand} labelled pictures; one that the others know nothing of is found with a median error of {:.2} % of the face's width",
+            100.0 * expected
+        )),
+        None => terminal.say("1 labelled picture: nothing says how far points will be off; label more"),
+    }
+    let labels = label::label(clips, labelled, &labeller, &terminal)?;
+    let all: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+    let (unsure, lost) = labels.unsure();
+    let doubtful: usize = unsure.values().map(Vec::len).sum();
+    if lost == all {
+        bail!("no picture has a face that looks like the labelled ones: label pictures of these videos");
+    }
+    terminal.say(&format!(
+        "{all} pictures of {} clips: {} found, {doubtful} of them unsure; {lost} without a face",
+        clips.len(),
+        all - lost
+    ));
+    let pictures = unsure
+        .iter()
+        .flat_map(|(clip, pictures)| pictures.iter().map(move |picture| format!("{clip} {picture}")));
+    let named: Vec<String> = pictures.take(NAMED).collect();
+    if doubtful > 0 {
+        terminal.warn(&format!(
+            "look at these pictures, counted from 0, and label some of them: {}{}",
+            named.join(", "),
+            match doubtful > NAMED {
+                true => ", …",
+                false => "",
+            }
+        ));
+    }
+    Ok(labels)
+}
