@@ -55,7 +55,7 @@ pub mod tables;
 pub mod wire;
 
 pub use frame::ParameterFrame;
-pub use kinds::{AnyModel, AnyStream, Likelihood, Recurrent};
+pub use kinds::{AnyModel, AnyStream, Hierarchical, Likelihood, Recurrent};
 pub use model::Model;
 pub use settings::StreamSettings;
 pub use stream::Stream;

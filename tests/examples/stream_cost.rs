@@ -29,7 +29,7 @@ mod target {
     use lipstream_core::kinds::recurrent::occupancy::Occupancy;
     use lipstream_core::kinds::recurrent::settle::settle;
     use lipstream_core::kinds::{AnyModel, Kind};
-    use lipstream_core::{HOP_SAMPLES, Likelihood, Model, Recurrent, Stream, StreamSettings};
+    use lipstream_core::{HOP_SAMPLES, Hierarchical, Likelihood, Model, Recurrent, Stream, StreamSettings};
     use semihosting::fs::File;
     use semihosting::io::Read;
     use semihosting::{println, process};
@@ -46,6 +46,8 @@ mod target {
     /// As firmware makes them.
     type LikelihoodStream = Stream<'static, Likelihood<'static>>;
     type RecurrentStream = Stream<'static, Recurrent<'static>>;
+    type HierarchicalStream = Stream<'static, Hierarchical<'static>>;
+    static mut HIERARCHICAL_STREAM: MaybeUninit<HierarchicalStream> = MaybeUninit::uninit();
     static mut LIKELIHOOD_STREAM: MaybeUninit<LikelihoodStream> = MaybeUninit::uninit();
     static mut RECURRENT_STREAM: MaybeUninit<RecurrentStream> = MaybeUninit::uninit();
 
@@ -194,10 +196,11 @@ mod target {
     fn main() -> ! {
         let mut file = open(c"model.tables");
         // SAFETY: a program of one thread without interrupts; nothing else names these statics.
-        let (bytes, view, likelihood_place, recurrent_place, follower) = unsafe {
+        let (bytes, view, hierarchical_place, likelihood_place, recurrent_place, follower) = unsafe {
             (
                 &mut *(&raw mut MODEL),
                 &mut *(&raw mut VIEW),
+                &mut *(&raw mut HIERARCHICAL_STREAM),
                 &mut *(&raw mut LIKELIHOOD_STREAM),
                 &mut *(&raw mut RECURRENT_STREAM),
                 &mut *(&raw mut FOLLOWER),
@@ -225,11 +228,15 @@ mod target {
                 stages(model, follower, &mut open(c"sound.raw"));
                 count(recurrent_place.write(Stream::new(model, settings)), &mut sound);
             }
+            AnyModel::Hierarchical(model) => {
+                count(hierarchical_place.write(Stream::new(model, settings)), &mut sound);
+            }
             AnyModel::Likelihood(model) => {
                 count(likelihood_place.write(Stream::new(model, settings)), &mut sound);
             }
         }
         println!("bytes stream {}", size_of::<LikelihoodStream>());
+        println!("bytes face_stream {}", size_of::<HierarchicalStream>());
         println!("bytes memory_stream {}", size_of::<RecurrentStream>());
         process::exit(0)
     }

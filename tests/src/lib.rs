@@ -34,6 +34,7 @@ macro_rules! cases {
                 same_bytes_everywhere,
                 feedback_gives_the_same_bytes_everywhere,
                 a_recurrent_model_gives_the_same_bytes_everywhere,
+                a_hierarchical_model_gives_the_same_bytes_everywhere,
                 cuts_do_not_matter,
                 a_reset_stream_is_a_new_one,
                 a_sound_shorter_than_a_window_gives_nothing,

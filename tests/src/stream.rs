@@ -3,7 +3,8 @@
 //! The models, one a kind, are small and random, the sound is made of integers; `cargo xtask
 //! bless` writes all vectors anew.
 use lipstream_core::kinds::Kind;
-use lipstream_core::{Likelihood, Model, ParameterFrame, Recurrent, Stream, StreamSettings};
+use lipstream_core::wire::Profile;
+use lipstream_core::{Hierarchical, Likelihood, Model, ParameterFrame, Recurrent, Stream, StreamSettings};
 
 use crate::random::Random;
 
@@ -18,6 +19,14 @@ pub static FEEDBACK_FRAMES: &[u8] = include_bytes!("../vectors/stream/feedback.f
 pub static RECURRENT_TABLES: &[u8] = include_bytes!("../vectors/model/small-recurrent.tables");
 /// Every frame of [`Sound`] from it.
 pub static RECURRENT_FRAMES: &[u8] = include_bytes!("../vectors/stream/small-recurrent.frames");
+
+/// Tables of a small hierarchical model of random numbers.
+pub static HIERARCHICAL_TABLES: &[u8] = include_bytes!("../vectors/model/small-hierarchical.tables");
+/// Every frame of [`Sound`] from it.
+pub static HIERARCHICAL_FRAMES: &[u8] = include_bytes!("../vectors/stream/small-hierarchical.frames");
+/// The same in the live profile, which does not smooth.
+pub static HIERARCHICAL_LIVE_FRAMES: &[u8] =
+    include_bytes!("../vectors/stream/small-hierarchical-live.frames");
 
 /// EM inside the lag window, exponent 1/4.
 pub fn with_feedback() -> StreamSettings {
@@ -139,6 +148,10 @@ fn recurrent() -> Model<'static, Recurrent<'static>> {
     Model::new_checked(RECURRENT_TABLES).expect("the vector is a recurrent model")
 }
 
+fn hierarchical() -> Model<'static, Hierarchical<'static>> {
+    Model::new_checked(HIERARCHICAL_TABLES).expect("the vector is a hierarchical model")
+}
+
 pub fn same_bytes_everywhere() {
     let model = likelihood();
     check(&mut Stream::new(&model, StreamSettings::default()), 160);
@@ -162,6 +175,20 @@ pub fn a_recurrent_model_gives_the_same_bytes_everywhere() {
     stream.push(&[9_999; 700]);
     stream.reset();
     check_against(RECURRENT_FRAMES, &mut stream, 160);
+}
+
+pub fn a_hierarchical_model_gives_the_same_bytes_everywhere() {
+    let model = hierarchical();
+    let mut stream = Stream::new(&model, StreamSettings::default());
+    for cut in [160, 1, 399, 1024] {
+        check_against(HIERARCHICAL_FRAMES, &mut stream, cut);
+    }
+    stream.push(&[9_999; 700]);
+    stream.set(StreamSettings::of(Profile::Live));
+    check_against(HIERARCHICAL_LIVE_FRAMES, &mut stream, 160);
+    // Its frames are the groups of a face.
+    let sizes = model.head().groups().map(|group| (group.name, group.place.len()));
+    assert!(sizes.eq([("face", 2), ("mouth", 2)]));
 }
 
 pub fn cuts_do_not_matter() {
@@ -200,6 +227,7 @@ pub fn a_sound_shorter_than_a_window_gives_nothing() {
 pub fn extremes() {
     survives_extremes(&likelihood());
     survives_extremes(&recurrent());
+    survives_extremes(&hierarchical());
 }
 
 fn survives_extremes<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {
@@ -222,6 +250,10 @@ fn survives_extremes<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {
         run(&mut stream, (0..400 + 60 * 160).map(sound), 160, |frame| {
             assert_eq!(frame.frame, frames);
             frames += 1;
+            if model.own().n_visemes() == 0 {
+                assert!(frame.viseme_weights.is_empty());
+                return;
+            }
             let sum: u32 = frame.viseme_weights.iter().map(|w| u32::from(*w)).sum();
             assert!(sum.abs_diff(255) <= 13, "sound {i}: weights add up to {sum}");
         });
@@ -233,6 +265,24 @@ fn survives_extremes<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {
 pub fn the_vectors_move() {
     moves(&likelihood());
     moves(&recurrent());
+    let model = hierarchical();
+    let (mut last, mut least, mut most) = ([0; 4], [i16::MAX; 4], [i16::MIN; 4]);
+    run(
+        &mut Stream::new(&model, StreamSettings::default()),
+        Sound::new(),
+        160,
+        |frame| {
+            last.copy_from_slice(&frame.values);
+            for k in 0..4 {
+                (least[k], most[k]) = (least[k].min(last[k]), most[k].max(last[k]));
+            }
+        },
+    );
+    // A deviation is 1,024.
+    assert!(
+        least.iter().zip(&most).all(|(least, most)| most - least > 500),
+        "{least:?} {most:?}"
+    );
 }
 
 fn moves<'m, K: Kind<'m>>(model: &'m Model<'m, K>) {

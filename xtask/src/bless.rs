@@ -1,12 +1,14 @@
 //! Writes the vectors of `tests/src/stream.rs` anew: `cargo xtask bless`.
 use std::path::Path;
 
-use lipstream::export::{ExportSettings, MgeSettings, export, export_mge};
+use lipstream::export::{ExportSettings, MgeSettings, export, export_hierarchical, export_mge};
+use lipstream::kinds::hierarchical::drawn;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::kinds::recurrent::parameters::{Feedback, Gate};
 use lipstream::synthetic::{self, Sizes, model};
 use lipstream_core::kinds::Kind;
-use lipstream_core::{Likelihood, Model, Recurrent, Stream, StreamSettings};
+use lipstream_core::wire::Profile;
+use lipstream_core::{Hierarchical, Likelihood, Model, Recurrent, Stream, StreamSettings};
 use lipstream_tests::stream::{self, Sound, with_feedback, write};
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -48,6 +50,10 @@ pub(crate) fn run(_: &[String]) -> anyhow::Result<()> {
         .expect("a random model can be exported")
         .bytes;
     let recurrent = Model::<Recurrent>::new_checked(&recurrent_bytes).expect("what was exported is a model");
+    let face = drawn::random(&drawn::Sizes::small(), &mut Pcg64::seed_from_u64(4))?;
+    let hierarchical_bytes = export_hierarchical(&face)?.bytes;
+    let hierarchical =
+        Model::<Hierarchical>::new_checked(&hierarchical_bytes).expect("what was exported is a model");
     for (name, bytes) in [
         ("model/small.tables", &bytes),
         ("stream/small.frames", &said(&tables, StreamSettings::default())),
@@ -56,6 +62,15 @@ pub(crate) fn run(_: &[String]) -> anyhow::Result<()> {
         (
             "stream/small-recurrent.frames",
             &said(&recurrent, StreamSettings::default()),
+        ),
+        ("model/small-hierarchical.tables", &hierarchical_bytes),
+        (
+            "stream/small-hierarchical.frames",
+            &said(&hierarchical, StreamSettings::default()),
+        ),
+        (
+            "stream/small-hierarchical-live.frames",
+            &said(&hierarchical, StreamSettings::of(Profile::Live)),
         ),
     ] {
         let path = folder.join(name);

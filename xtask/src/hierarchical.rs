@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, Result, bail, ensure};
 use lipstream::kinds::hierarchical::HierarchicalModel;
-use lipstream::kinds::hierarchical::speech::{Cepstra, PICTURES_HZ};
+use lipstream::kinds::hierarchical::speech::PICTURES_HZ;
 use lipstream::kinds::hierarchical::voice::{Adaptation, Voice};
 use lipstream_make::evaluate::plot::{self, Line, Look, Panel};
 use lipstream_make::features::{FeatureFolder, Split};
@@ -42,11 +42,12 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
         &landmarks,
         &videos,
         Which::Clips(usize::MAX),
+        &model.hearing,
     )?;
-    let heard = |clip: &Picked| model.speech_parameters(&clip.cepstra);
+    let heard = |clip: &Picked| model.speech_parameters(&clip.heard);
     let said: Vec<Array2<f32>> = picked
         .iter()
-        .map(|clip| model.convert_speech(&heard(clip)))
+        .map(|clip| model.convert_alone(&heard(clip)))
         .collect();
     let said = concatenate(Axis(0), &said.iter().map(|c| c.view()).collect::<Vec<_>>())?;
     let actual = truth::appearances(&model, &picked, &())?;
@@ -146,8 +147,8 @@ fn heard(
     rate_hz: f32,
 ) -> Result<Array2<f32>> {
     let samples = sound::read(&folder.wav_path(id))?.samples;
-    let cepstra = Cepstra::default().of_pictures(&samples, pictures, rate_hz);
-    Ok(model.speech_parameters(&cepstra))
+    let heard = model.hearing.of_pictures(&samples, pictures, rate_hz);
+    Ok(model.speech_parameters(&heard))
 }
 
 /// How strangers' lips are followed, without adaptation and with each kind, by the whole of their own clip.
@@ -169,7 +170,7 @@ fn strangers(
         let speech = heard(model, others, &clip.id, clip.video_frames, clip.video_hz)?;
         let actual = others.visual(clip)?.column(0).to_owned();
         let follows = |speech: &Array2<f32>| {
-            let gaps = lip_gaps(&model.shapes(&model.convert_speech(speech)), inner);
+            let gaps = lip_gaps(&model.shapes(&model.convert_alone(speech)), inner);
             correlation(gaps.view(), actual.view())
         };
         let adapted =

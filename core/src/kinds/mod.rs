@@ -2,11 +2,13 @@
 //!
 //! To add a kind: its folder (tables with readers and writers, a converter, [`Kind`] and [`Convert`] for them) and its line in
 //! `any!` below. Nothing else asks which kind a model is.
+pub mod hierarchical;
 pub mod likelihood;
 pub mod recurrent;
 
 use core::fmt;
 
+pub use hierarchical::Hierarchical;
 pub use likelihood::Likelihood;
 pub use recurrent::Recurrent;
 
@@ -219,4 +221,5 @@ macro_rules! any {
 any! {
     Likelihood: "A likelihood-trained",
     Recurrent: "A recurrent",
+    Hierarchical: "A hierarchical",
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use common::program::{one_line, run_with_programs, text};
 use common::talker::{VIDEO_HZ, talker_seen};
-use lipstream::kinds::hierarchical::HierarchicalModel;
+use lipstream::kinds::hierarchical::{Choice, HierarchicalModel, at_frames};
 use lipstream::render::drawn::{HEIGHT, Pose, WIDTH};
 use lipstream_media::sink::{Film, Mp4, Sink as _};
 use ndarray::{Array3, Array4};
@@ -92,6 +92,9 @@ fn heads(root: &Path) {
     .unwrap();
 }
 
+/// The shipped model, by which clusters are chosen.
+const GUIDE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/grid-s1.safetensors");
+
 const TRAIN: [&str; 14] = [
     "train",
     "features",
@@ -122,7 +125,7 @@ fn a_drawn_head_learns_to_speak() {
     let root = folder.path();
     heads(root);
     let mut train = TRAIN.to_vec();
-    train.extend(["--clusters", "4,12", "--starts", "2"]);
+    train.extend(["--clusters", "4,12", "--starts", "2", "--guide", GUIDE]);
     let trained = run_with_programs(root, &train);
     let said = text(&trained.stderr);
     assert!(trained.status.success(), "{said}");
@@ -187,6 +190,8 @@ fn a_drawn_head_learns_to_speak() {
             "hierarchical=m.safetensors",
             "--landmarks",
             "landmarks",
+            "--choice",
+            "mahalanobis,chmm,recurrent",
             "--json",
         ],
     );
@@ -206,6 +211,15 @@ fn a_drawn_head_learns_to_speak() {
         assert!(
             sign * number(&own, what) > sign * number(&mean, what),
             "{what}: {own} {mean}"
+        );
+    }
+    // A voice of tones means nothing to the guide, whose states still tell open mouths from closed ones.
+    for name in ["hierarchical, chmm", "hierarchical, recurrent"] {
+        let guided = system(name);
+        assert!(number(&guided, "gap_correlation") > 0.5, "{name}: {guided}");
+        assert!(
+            guided["look_ahead_ms"].as_u64() > own["look_ahead_ms"].as_u64(),
+            "{guided} {own}"
         );
     }
     let said = refuse(root, "evaluate features -m m.safetensors");
@@ -228,6 +242,8 @@ fn a_drawn_head_learns_to_speak() {
         assert!(drawn.status.success(), "{}", text(&drawn.stderr));
         drawn.stdout
     };
+    assert_eq!(bytes(&["--choice", "mahalanobis"]), pictures.stdout);
+    assert_ne!(bytes(&["--choice", "chmm"]), pictures.stdout);
     assert_ne!(bytes(&["--adapt", "level"]), pictures.stdout);
     assert_ne!(bytes(&["--adapt", "linear"]), bytes(&["--adapt", "level"]));
     let said = refuse(root, "render features/wav/clip15.wav --adapt level -o f.mp4");
@@ -246,10 +262,69 @@ fn a_drawn_head_learns_to_speak() {
             "convert features/wav/clip15.wav -m m.safetensors -o p.npy",
             "is a hierarchical model",
         ),
+        ("export m.safetensors -o m.tables", "--for-device"),
+        (
+            "train features --system hierarchical --landmarks landmarks --guide m.safetensors -o n.safetensors",
+            "m.safetensors cannot choose clusters",
+        ),
     ] {
         let said = refuse(root, words);
         assert!(said.contains(wanted), "{said}");
     }
+}
+
+/// Trained on the device's own front end, written as its tables, and run as it runs them: the numbers of its groups, a hundred times a second.
+#[test]
+fn a_head_speaks_on_the_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    heads(root);
+    let mut train = TRAIN.to_vec();
+    train.extend(["--clusters", "12", "--starts", "1", "--for-device"]);
+    let trained = run_with_programs(root, &train);
+    assert!(trained.status.success(), "{}", text(&trained.stderr));
+    let said = succeed_words(root, "export m.safetensors -o m.tables");
+    assert!(
+        said.contains("AppearanceWeights") && said.contains("m.tables"),
+        "{said}"
+    );
+    succeed_words(root, "convert features/wav/clip15.wav -m m.tables -o p.npy");
+    let model = HierarchicalModel::read(&root.join("m.safetensors")).unwrap();
+    let said = lipstream::npy::read_npy(&root.join("p.npy")).unwrap();
+    let sound = lipstream_media::sound::read(&root.join("features/wav/clip15.wav")).unwrap();
+    let wanted = model.convert(&sound.samples, Choice::Mahalanobis).unwrap();
+    let wanted = at_frames(&wanted, 25.0, said.nrows());
+    let deviations = model
+        .nodes
+        .iter()
+        .flat_map(|node| &node.appearance.joint.variances);
+    let deviations: ndarray::Array1<f32> = deviations.map(|v| v.sqrt()).collect();
+    let off = ((&said - &wanted) / &deviations).mapv(f32::abs);
+    let other = off
+        .outer_iter()
+        .filter(|row| row.iter().any(|v| *v > 0.02))
+        .count();
+    assert!(
+        other * 20 <= off.nrows(),
+        "{other} of {} frames are others",
+        off.nrows()
+    );
+    for (words, wanted) in [
+        ("export m.safetensors -o n.tables --beam 11", "follows nothing"),
+        (
+            "render features/wav/clip15.wav -m m.safetensors --choice chmm -o n.mp4",
+            "--guide",
+        ),
+        (
+            "export m.safetensors -o n.tables --flash 1",
+            "no model fits 1 KiB",
+        ),
+    ] {
+        let said = refuse(root, words);
+        assert!(said.contains(wanted), "{said}");
+    }
+    let refused = run_with_programs(root, &split("evaluate features --choice chmm"));
+    assert_eq!(refused.status.code(), Some(2));
 }
 
 /// The words of a command, none of which has a blank in it.

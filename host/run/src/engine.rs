@@ -133,7 +133,7 @@ impl FloatModel {
         if HierarchicalModel::is_kind(tensors) {
             bail!(
                 Choice,
-                "it is a hierarchical model, which `render` draws and `evaluate` measures: give a model of another system"
+                "it is a hierarchical model, which `render` draws, `evaluate` measures and `export` writes tables of: give those, or a model of another system"
             );
         }
         Ok(match RecurrentModel::is_kind(tensors) {

@@ -18,6 +18,7 @@ const FRONT_END: &str = "front_end";
 const BEFORE_IT_WAS_NOTED: u32 = 0x4850_0001;
 
 /// What has been read from a file.
+#[derive(Clone, Debug)]
 pub struct Tensors {
     path: String,
     arrays: HashMap<String, (Vec<usize>, Vec<f32>)>,
@@ -47,6 +48,18 @@ impl TensorsBuilder {
     pub fn put_start_mean<S: Data<Elem = f32>>(&mut self, mean: &ArrayBase<S, Ix1>) {
         self.put(START_MEAN, mean);
         self.note(FRONT_END, FRONT_END_FINGERPRINT);
+    }
+
+    /// Adds everything that another file holds, `prefix` before every name.
+    pub fn put_within(&mut self, prefix: &str, file: &Tensors) {
+        for (name, (shape, values)) in &file.arrays {
+            let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+            self.arrays
+                .push((format!("{prefix}{name}"), shape.clone(), bytes));
+        }
+        for (key, value) in &file.notes {
+            self.note(&format!("{prefix}{key}"), value);
+        }
     }
 
     /// Writes the file; equal contents give equal bytes.
@@ -138,6 +151,22 @@ impl Tensors {
         })
     }
 
+    /// What was added by [`TensorsBuilder::put_within`].
+    pub fn within(&self, prefix: &str) -> Self {
+        let strip = |name: &String| name.strip_prefix(prefix).map(str::to_owned);
+        let arrays = self.arrays.iter();
+        let notes = self.notes.iter();
+        Self {
+            path: self.path.clone(),
+            arrays: arrays
+                .filter_map(|(name, array)| Some((strip(name)?, array.clone())))
+                .collect(),
+            notes: notes
+                .filter_map(|(key, value)| Some((strip(key)?, value.clone())))
+                .collect(),
+        }
+    }
+
     /// The array called `name`, of as many dimensions as the caller's type says.
     ///
     /// # Errors
@@ -219,6 +248,18 @@ mod tests {
         out.put("x", &array![[1.0f32, 2.0], [3.0, 4.5]]);
         out.note("n", 7);
         out.write(&path).unwrap();
+        let mut around = TensorsBuilder::default();
+        around.note("n", 8);
+        around.put_within("inner.", &Tensors::read(&path).unwrap());
+        around.write(&folder.path().join("b.safetensors")).unwrap();
+        let both = Tensors::read(&folder.path().join("b.safetensors")).unwrap();
+        assert_eq!(both.noted::<usize>("n").unwrap(), 8);
+        let inner = both.within("inner.");
+        assert_eq!(inner.noted::<usize>("n").unwrap(), 7);
+        assert_eq!(
+            inner.array::<ndarray::Ix2>("x").unwrap(),
+            array![[1.0f32, 2.0], [3.0, 4.5]]
+        );
         let back = Tensors::read(&path).unwrap();
         let x: Array2<f32> = back.array("x").unwrap();
         assert_eq!(x, array![[1.0f32, 2.0], [3.0, 4.5]]);

@@ -16,7 +16,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use anyhow::{Context, Result, bail};
+use lipstream::export::export_hierarchical;
+use lipstream::kinds::hierarchical::drawn;
 use object::{Object, ObjectSection, ObjectSymbol};
+use rand::SeedableRng as _;
+use rand_pcg::Pcg64;
 
 const TARGETS: [&str; 2] = ["thumbv7em-none-eabihf", "thumbv6m-none-eabi"];
 
@@ -72,6 +76,16 @@ const STREAM_ROWS: [(&str, &str); 19] = [
     ("active most", "active joint states, most"),
     ("bytes memory_stream", "state of the stream (static RAM), bytes"),
 ];
+/// Rows of the table of a hierarchical model's stream.
+const FACE_ROWS: [(&str, &str); 3] = [
+    ("instructions face_mean", "a hop of the face's stream, mean"),
+    ("instructions face_worst", "a hop of the face's stream, worst"),
+    (
+        "bytes face_stream",
+        "state of the face's stream (static RAM), bytes",
+    ),
+];
+
 /// Most instructions of a stream's hop over the shipped sound, on average and at worst.
 const MOST_OF_STREAM: (u64, u64) = (200_000, 350_000);
 
@@ -101,7 +115,10 @@ pub(crate) fn run(words: &[String]) -> Result<()> {
     let document = root.join("docs/cost.md");
     let measured = TARGETS.map(|target| measure(&root, target));
     let [cortex_m4, cortex_m0] = measured;
-    let columns = [cortex_m4?, cortex_m0?];
+    let mut columns = [cortex_m4?, cortex_m0?];
+    for (target, numbers) in TARGETS.iter().zip(&mut columns) {
+        numbers.extend(measure_face(&root, target)?);
+    }
     let stream = measure_stream(
         &root,
         &root.join("models/grid-s1.tables"),
@@ -127,7 +144,34 @@ pub(crate) fn measure_stream(
     sounds: &[PathBuf],
     feedback: Option<u32>,
 ) -> Result<Numbers> {
-    let program = build(root, TARGETS[0], "stream_cost")?;
+    measure_stream_on(root, TARGETS[0], tables, sounds, feedback)
+}
+
+/// A stream of a hierarchical model of the sizes that are trained on GRID, its numbers random: what it costs does not depend on them.
+fn measure_face(root: &Path, target: &str) -> Result<Numbers> {
+    let model = drawn::random(&drawn::Sizes::full(), &mut Pcg64::seed_from_u64(1))?;
+    let tables = tempfile::NamedTempFile::new()?;
+    std::fs::write(tables.path(), export_hierarchical(&model)?.bytes)?;
+    let sounds = [root.join("data/hello.wav")];
+    let numbers = measure_stream_on(root, target, tables.path(), &sounds, None)?;
+    let renamed = |(name, value): (String, u64)| match name.as_str() {
+        "instructions mean" => Some(("instructions face_mean".to_owned(), value)),
+        "instructions worst" => Some(("instructions face_worst".to_owned(), value)),
+        "bytes face_stream" => Some((name, value)),
+        _ => None,
+    };
+    Ok(numbers.into_iter().filter_map(renamed).collect())
+}
+
+/// [`measure_stream`] in another target's code.
+fn measure_stream_on(
+    root: &Path,
+    target: &str,
+    tables: &Path,
+    sounds: &[PathBuf],
+    feedback: Option<u32>,
+) -> Result<Numbers> {
+    let program = build(root, target, "stream_cost")?;
     let folder = tempfile::tempdir()?;
     std::fs::copy(tables, folder.path().join("model.tables"))
         .with_context(|| tables.display().to_string())?;
@@ -261,13 +305,18 @@ fn render(columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> String {
         .replace("FIRMWARE\n", &of_firmware)
         .replace("STREAM\n", &of_stream)
         .replace("SERVOS\n", &both(&SERVO_ROWS))
+        .replace("FACE\n", &both(&FACE_ROWS))
         .replace("TABLE\n", &both(&ROWS))
 }
 
 /// Every number of the committed table, against what was measured now.
 fn compare(text: &str, columns: &[Numbers], stream: &Numbers, firmware: &Numbers) -> Result<()> {
     let mut worse = Vec::new();
-    let rows = ROWS.iter().chain(&SERVO_ROWS).map(|row| (row, columns));
+    let rows = ROWS
+        .iter()
+        .chain(&SERVO_ROWS)
+        .chain(&FACE_ROWS)
+        .map(|row| (row, columns));
     let of_stream = STREAM_ROWS.iter().map(|row| (row, std::slice::from_ref(stream)));
     let of_firmware = firmware::ROWS
         .iter()

@@ -64,6 +64,18 @@ choice! {
 }
 
 choice! {
+    /// What chooses the cluster of a hierarchical model's picture.
+    ClusterChoice for lipstream::kinds::hierarchical::Choice {
+        /// Its own sound, by Mahalanobis distance
+        Mahalanobis,
+        /// The visual states of a coupled HMM
+        Chmm,
+        /// The mouth of a recurrent model
+        Recurrent,
+    }
+}
+
+choice! {
     /// Shapes that an animation program blends.
     BlendSet for lipstream::cues::BlendSet {
         /// The 15 visemes of Oculus lip sync

@@ -66,6 +66,15 @@ pub(crate) struct Args {
     /// Model to measure too, under this name: likelihood-trained, a system that was trained otherwise, or hierarchical (several times)
     #[arg(long, value_name = "NAME=MODEL.safetensors")]
     also: Vec<String>,
+    /// What chooses clusters in the hierarchical models of --also; of several, separated by commas, each is a row of its own [default: mahalanobis]
+    #[arg(
+        long,
+        value_name = "CHOICE",
+        value_delimiter = ',',
+        requires = "also",
+        value_enum
+    )]
+    choice: Vec<choices::ClusterChoice>,
     /// Feature folder whose sound trains the systems too; may be given many times
     #[arg(long, value_name = "DIR", requires = "systems")]
     pub(super) audio: Vec<PathBuf>,
@@ -161,7 +170,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
     for (name, model) in &also {
         match model {
             Also::Likelihood(model) => candidates.extend(systems::also(name, model, &folder)?),
-            Also::Hierarchical(model) => candidates.push(hierarchical::candidate(name, model, &folder)?),
+            Also::Hierarchical(model) => candidates.extend(by_choice(&args.choice, name, model, &folder)?),
         }
     }
     let (chosen, stored) = (&opened.chosen, &opened.stored);
@@ -329,6 +338,26 @@ fn settings(args: &Args, full: bool) -> Result<EvaluateSettings> {
 enum Also {
     Likelihood(Box<Model>),
     Hierarchical(Box<HierarchicalModel>),
+}
+
+/// A hierarchical model under its name, its clusters chosen by its own sound, and under its name with the choice's otherwise.
+fn by_choice<'a>(
+    choices: &[choices::ClusterChoice],
+    name: &str,
+    model: &'a HierarchicalModel,
+    folder: &FeatureFolder,
+) -> Result<Vec<Candidate<'a>>> {
+    let own = [choices::ClusterChoice::Mahalanobis];
+    let choices = if choices.is_empty() { &own } else { choices };
+    let candidate = |choice: &choices::ClusterChoice| {
+        let word = clap::ValueEnum::to_possible_value(choice);
+        let name = match (word, *choice == own[0]) {
+            (Some(word), false) => format!("{name}, {}", word.get_name()),
+            _ => name.to_owned(),
+        };
+        hierarchical::candidate(&name, model, (*choice).into(), folder).with_context(|| name.clone())
+    };
+    choices.iter().map(candidate).collect()
 }
 
 /// NAME=MODEL.safetensors.

@@ -5,7 +5,10 @@ use anyhow::{Result, bail};
 use lipstream_core::{Likelihood, Model as Tables};
 
 use lipstream::export::budget::{self, Budget, Candidate};
-use lipstream::export::{Export, ExportError, ExportSettings, MgeSettings, export, export_mge};
+use lipstream::export::{
+    Export, ExportError, ExportSettings, MgeSettings, export, export_hierarchical, export_mge,
+};
+use lipstream::kinds::hierarchical::HierarchicalModel;
 use lipstream::kinds::likelihood::Model;
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::shipped;
@@ -123,6 +126,7 @@ pub(crate) fn run(args: Args) -> Result<()> {
 enum Kind {
     Likelihood(Box<Model>, ExportSettings),
     Mge(Box<RecurrentModel>),
+    Hierarchical(Box<HierarchicalModel>),
 }
 
 /// A model with its tables for the beam that was asked for, or its own.
@@ -136,9 +140,23 @@ struct Source {
 /// likelihood-trained model goes with its acoustic scale: there it is not touched.
 const BEAMS: [f64; 8] = [14.0, 13.0, 12.0, 11.0, 10.0, 9.0, 8.0, 7.0];
 
+/// The beam of a model that follows nothing.
+const NO_BEAM: f64 = 0.0;
+
 impl Kind {
     fn read(path: &Path, args: &Args) -> Result<Self> {
-        if RecurrentModel::is_kind(&Tensors::read(path)?) {
+        let tensors = Tensors::read(path)?;
+        if HierarchicalModel::is_kind(&tensors) {
+            let follows = args.lag.is_some() || args.beam.is_some() || args.acoustic_scale.is_some();
+            if follows || args.no_average || args.visual_densities || args.one_memory {
+                bail!(
+                    "{} is a hierarchical model, which follows nothing: it has no lag, no beam, no acoustic scale, no average, no visual densities and no memory to set",
+                    path.display()
+                );
+            }
+            return Ok(Self::Hierarchical(Box::new(HierarchicalModel::read(path)?)));
+        }
+        if RecurrentModel::is_kind(&tensors) {
             if args.lag.is_some() || args.acoustic_scale.is_some() || args.no_average || args.visual_densities
             {
                 bail!(
@@ -171,6 +189,7 @@ impl Kind {
         match self {
             Self::Likelihood(_, settings) => settings.beam_bits,
             Self::Mge(_) => MgeSettings::default().beam_bits,
+            Self::Hierarchical(_) => NO_BEAM,
         }
     }
 
@@ -184,6 +203,7 @@ impl Kind {
                 },
             ),
             Self::Mge(model) => export_mge(model, &MgeSettings { beam_bits }),
+            Self::Hierarchical(model) => export_hierarchical(model),
         }
     }
 }
@@ -215,6 +235,9 @@ impl Source {
                 let active = budget::mean_active(&tables, &sound::decode(shipped::SOUND)?.samples);
                 let instructions = budget::instructions_by_likelihood(&tables, active);
                 vec![candidate(self.beam_bits, instructions, None)]
+            }
+            Kind::Hierarchical(model) => {
+                vec![candidate(NO_BEAM, budget::instructions_of_pictures(model), None)]
             }
             Kind::Mge(model) => {
                 let beams = match (args.beam, args.cycles) {
@@ -254,10 +277,13 @@ fn said(args: &Args, candidate: &Candidate) -> String {
         Some(amse) => format!(", validation AMSE {amse:.0}"),
         None => String::new(),
     };
+    let beam = match candidate.beam_bits {
+        NO_BEAM => String::new(),
+        bits => format!(", beam {bits} bits"),
+    };
     format!(
-        "{}, beam {} bits: {:.1} KiB, about {:.0} k instructions a hop{error}",
+        "{}{beam}: {:.1} KiB, about {:.0} k instructions a hop{error}",
         args.models[candidate.model].display(),
-        candidate.beam_bits,
         candidate.bytes as f64 / 1024.0,
         candidate.instructions / 1000.0
     )

@@ -2,13 +2,17 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use lipstream::kinds::hierarchical::Choice;
 use lipstream::kinds::hierarchical::Tree;
+use lipstream::kinds::hierarchical::guide::Teacher;
 use lipstream::progress::Progress as _;
+use lipstream::tensors::Tensors;
 use lipstream_make::features::FeatureFolder;
 use lipstream_make::hierarchical::maps::Trial;
 use lipstream_make::hierarchical::{self, Landmarks, Settings};
 use lipstream_media::files;
 
+use super::choices::ClusterChoice;
 use crate::progress::Terminal;
 
 /// Options that are of coupled HMMs and of what is grown from them.
@@ -27,6 +31,9 @@ pub(super) const OF_HMMS: [&str; 12] = [
     "without",
 ];
 
+/// `speech::OWN_TAPS` in words.
+const OWN_TAPS: [&str; 4] = ["-1", "0", "1", "2"];
+
 /// What `--system hierarchical` asks for
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "With --system hierarchical")]
@@ -41,6 +48,12 @@ pub(crate) struct Args {
     /// Areas of the face, parents first: {"areas": [{"name": "face"}, {"name": "mouth", "parent": "face", "landmarks": [0, 1, …]}]} [default: face and mouth]
     #[arg(long, value_name = "FILE.json", requires = "landmarks")]
     tree: Option<PathBuf>,
+    /// Model (.safetensors, recurrent or likelihood-trained) that may choose the clusters of pictures (`render --choice`, `evaluate --choice`); it goes into the file
+    #[arg(long, value_name = "MODEL", requires = "landmarks")]
+    guide: Option<PathBuf>,
+    /// Hear the device's front end, as `export` needs it, at hops around the beginning of each picture, in place of the paper's window of 40 ms [hops: -1,0,1,2]
+    #[arg(long, value_name = "HOPS", requires = "landmarks", value_delimiter = ',', num_args = 0.., require_equals = true, default_missing_values = OWN_TAPS)]
+    for_device: Option<Vec<i8>>,
     /// Training pictures, about, evenly from all clips
     #[arg(long, value_name = "N", requires = "landmarks", default_value_t = Settings::default().pictures)]
     pictures: usize,
@@ -69,6 +82,8 @@ pub(super) fn run(args: &Args, folder: &FeatureFolder, seed: u64, output: &Path)
     let mut settings = Settings {
         videos: args.videos.clone(),
         tree: args.tree.as_deref().map(tree).transpose()?,
+        taps: args.for_device.clone(),
+        teacher: args.guide.as_deref().map(teacher).transpose()?,
         pictures: args.pictures,
         ..Settings::default()
     };
@@ -82,7 +97,27 @@ pub(super) fn run(args: &Args, folder: &FeatureFolder, seed: u64, output: &Path)
             terminal.say(&format!("{area}: {line}"));
         }
     }
+    for (area, tried) in &trained.guided {
+        for tried in tried {
+            terminal.say(&format!(
+                "{area}: chosen by {}, the own sound counting {}: error {:.4}",
+                choice_name(tried.choice),
+                tried.own,
+                tried.error
+            ));
+        }
+    }
     Ok(trained.model.write(output)?)
+}
+
+fn teacher(path: &Path) -> Result<Teacher> {
+    let file = Tensors::read(path)?;
+    Teacher::of_tensors(file).with_context(|| format!("{} cannot choose clusters", path.display()))
+}
+
+fn choice_name(choice: Choice) -> String {
+    let word = clap::ValueEnum::to_possible_value(&ClusterChoice::from(choice));
+    word.map_or_else(String::new, |word| word.get_name().to_owned())
 }
 
 fn tree(path: &Path) -> Result<Tree> {

@@ -100,7 +100,11 @@ fn within(map: &SpeechMap, modes: usize) -> SpeechMap {
 
 /// Mean squared error of what a map says, smoothed clip by clip, over the variance of the truth.
 pub fn error(map: &SpeechMap, pairs: &Pairs) -> f64 {
-    let said = map.convert(&pairs.speech);
+    error_of(&map.convert(&pairs.speech), pairs)
+}
+
+/// [`error`] of what is said already, not yet smoothed.
+pub fn error_of(said: &Array2<f32>, pairs: &Pairs) -> f64 {
     let mut sum = 0.0;
     for clip in &pairs.clips {
         let rows = s![clip.clone(), ..];

@@ -1,6 +1,7 @@
 //! What makes a hierarchical model (COS, `docs/hierarchical.md`): landmarks and videos in, a model out.
 pub mod appearance;
 pub mod clustering;
+pub mod guide;
 pub mod landmarks;
 pub mod maps;
 pub mod pictures;

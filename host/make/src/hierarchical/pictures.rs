@@ -1,7 +1,7 @@
 //! The pictures that a hierarchical model is trained and judged on: which, what was heard with each, and what each looks like through the areas' geometries.
 use std::path::Path;
 
-use lipstream::kinds::hierarchical::speech::Cepstra;
+use lipstream::kinds::hierarchical::speech::Hearing;
 use lipstream::kinds::hierarchical::yiq;
 use lipstream::progress::{Progress, Steps};
 use lipstream_media::sound;
@@ -26,8 +26,8 @@ pub struct Picked {
     pub pictures: Vec<usize>,
     /// Landmarks of each, x₀, y₀, x₁, … in pixels of the decoded pictures, which of large videos are reduced ([`video::MAX_LINES`]), `[n, 2 × landmarks]`.
     pub landmarks: Array2<f32>,
-    /// Mel-cepstra that were heard with each, `[n, 12]`.
-    pub cepstra: Array2<f32>,
+    /// What was heard with each, `[n, numbers of the hearing]`.
+    pub heard: Array2<f32>,
     /// Eigenmouth weights of each, `[n, D]`.
     pub mouths: Array2<f32>,
 }
@@ -52,6 +52,7 @@ pub fn pick(
     landmarks: &Landmarks,
     videos: &Path,
     which: Which,
+    hearing: &Hearing,
 ) -> Result<Vec<Picked>> {
     let found = discover(videos, Some(&folder.root), &Options::default())?;
     let clips: Vec<&Clip> = folder.split(split).filter(|clip| clip.video_frames > 0).collect();
@@ -64,7 +65,6 @@ pub fn pick(
             (each as usize, step(most))
         }
     };
-    let cepstra = Cepstra::default();
     let picked: Vec<Picked> = clips
         .into_par_iter()
         .step_by(step)
@@ -80,7 +80,7 @@ pub fn pick(
                     clip.id
                 ))
             })?;
-            of_clip(folder, clip, files, landmarks, each, &cepstra)
+            of_clip(folder, clip, files, landmarks, each, hearing)
                 .with_context(|| format!("clip {}", clip.id))
         })
         .filter(|picked| !picked.as_ref().is_ok_and(|picked| picked.pictures.is_empty()))
@@ -101,7 +101,7 @@ fn of_clip(
     files: &ClipFiles,
     landmarks: &Landmarks,
     each: usize,
-    cepstra: &Cepstra,
+    hearing: &Hearing,
 ) -> Result<Picked> {
     let points = landmarks
         .of(&clip.id)
@@ -132,11 +132,11 @@ fn of_clip(
     let samples = sound::read(&folder.wav_path(&clip.id))
         .map_err(Error::other)?
         .samples;
-    let heard = cepstra.of_pictures(&samples, count, clip.video_hz);
+    let heard = hearing.of_pictures(&samples, count, clip.video_hz);
     Ok(Picked {
         files: files.clone(),
         landmarks: of_pictures.into_shape_with_order((keep, 2 * landmarks.count()))?,
-        cepstra: heard.select(Axis(0), &pictures),
+        heard: heard.select(Axis(0), &pictures),
         mouths: folder.visual(clip)?.select(Axis(0), &pictures),
         pictures,
     })
@@ -331,7 +331,7 @@ mod tests {
         let clip = Picked {
             files: discover_nothing(),
             pictures: vec![0, 1],
-            cepstra: Array2::zeros((2, 12)),
+            heard: Array2::zeros((2, 12)),
             mouths: Array2::zeros((2, 1)),
             landmarks,
         };

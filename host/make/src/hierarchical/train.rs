@@ -1,13 +1,15 @@
 //! A feature folder, its videos and landmarks to a hierarchical model.
 use std::path::PathBuf;
 
-use lipstream::kinds::hierarchical::{Appearance, Colours, HierarchicalModel, Node, Pieces, Tree};
+use lipstream::kinds::hierarchical::guide::Teacher;
+use lipstream::kinds::hierarchical::{Appearance, Colours, Hearing, HierarchicalModel, Node, Pieces, Tree};
 use lipstream::mouth::MouthSpace;
 use lipstream::progress::Progress;
 use lipstream::tensors::Tensors;
 use ndarray::{Array1, Array2, Axis, concatenate, s};
 
 use super::appearance::{self, Components, Geometry};
+use super::guide::{self, Lesson, Tried};
 use super::landmarks::Landmarks;
 use super::maps::{self, Pairs, Search, Trial};
 use super::pictures::{self, Looks, Picked, Which};
@@ -26,6 +28,10 @@ pub struct Settings {
     pub videos: Option<PathBuf>,
     /// Areas; None: the paper's face and mouth.
     pub tree: Option<Tree>,
+    /// Hops at which the device's front end is heard; None: the paper's windows.
+    pub taps: Option<Vec<i8>>,
+    /// What may choose clusters when the model runs.
+    pub teacher: Option<Teacher>,
     /// Training pictures, about.
     pub pictures: usize,
     /// Training pictures whose colours are kept, about.
@@ -44,6 +50,8 @@ impl Default for Settings {
         Self {
             videos: None,
             tree: None,
+            taps: None,
+            teacher: None,
             pictures: 3000,
             colours: 300,
             components: Components::default(),
@@ -62,6 +70,8 @@ pub struct Trained {
     pub model: HierarchicalModel,
     /// Trials of each area, by its name.
     pub trials: Vec<(String, Vec<Trial>)>,
+    /// What was tried of each area's guidance; nothing without a teacher.
+    pub guided: Vec<(String, Vec<Tried>)>,
 }
 
 /// Validation clips at most: all of their pictures are looked at.
@@ -92,7 +102,12 @@ pub fn train(
         true => Split::Val,
         false => Split::Train,
     };
-    let pick = |split, which| pictures::pick(folder, split, landmarks, videos, which);
+    let hearing = match &settings.taps {
+        None => Hearing::Window,
+        Some(taps) => Hearing::frames(Array1::from(folder.manifest.start_mean.clone()), taps.clone())
+            .map_err(Error::other)?,
+    };
+    let pick = |split, which| pictures::pick(folder, split, landmarks, videos, which, &hearing);
     let train = pick(Split::Train, Which::Spread(settings.pictures))?;
     let validation = pick(judged, Which::Clips(JUDGED_CLIPS))?;
 
@@ -113,17 +128,17 @@ pub fn train(
         geometries[0].patch.height
     ));
     let levels = appearance::normalise(&mut textures, &tree);
-    let cepstra = pictures::stacked(&train, |clip| &clip.cepstra)?;
-    let speech = components(&cepstra, settings.speech)?;
+    let sounds = pictures::stacked(&train, |clip| &clip.heard)?;
+    let speech = components(&sounds, settings.speech)?;
     ensure!(
         speech.modes() > 0,
         Data,
         "all training pictures sound alike: there is nothing to learn from"
     );
-    let heard = |cepstra: &Array2<f32>| (cepstra - &speech.mean).dot(&speech.components.t());
+    let heard = |sounds: &Array2<f32>| (sounds - &speech.mean).dot(&speech.components.t());
     let mut judge = Judge::of(&validation, &tree, &geometries, &levels, progress)?;
 
-    let (mut nodes, mut trials, mut appearances) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut nodes, mut trials, mut all_pairs) = (Vec::new(), Vec::new(), Vec::new());
     for (index, area) in tree.areas.iter().enumerate() {
         let (appearance, c) = appearance::fit(
             &area.name,
@@ -137,13 +152,14 @@ pub fn train(
         textures[index] = Array2::zeros((0, 0));
         let pairs = Pairs {
             appearance: c,
-            speech: heard(&cepstra),
+            speech: heard(&sounds),
             clips: pictures::ranges(&train),
         };
+        let ranges = pictures::ranges(&validation);
         let validation = Pairs {
             appearance: judge.appearances(index, &geometries[index], &appearance),
-            speech: heard(&judge.cepstra),
-            clips: pictures::ranges(&validation),
+            speech: heard(&judge.sounds),
+            clips: ranges,
         };
         let (map, tried) = maps::fit(&pairs, &validation, &settings.search)?;
         progress.say(&format!(
@@ -158,8 +174,23 @@ pub fn train(
         ));
         nodes.push(Node { appearance, map });
         trials.push((area.name.clone(), tried));
-        appearances.push(pairs.appearance);
+        all_pairs.push((pairs, validation));
     }
+    let names = tree.areas.iter().map(|area| area.name.clone());
+    let (guide, guided) = match &settings.teacher {
+        None => (None, Vec::new()),
+        Some(teacher) => {
+            let lesson = Lesson {
+                folder,
+                train: &train,
+                validation: &validation,
+                pairs: &all_pairs,
+            };
+            let (guide, tried) = guide::fit(teacher.clone(), &nodes, &lesson)?;
+            (Some(guide), names.zip(tried).collect())
+        }
+    };
+    let appearances: Vec<Array2<f32>> = all_pairs.into_iter().map(|(train, _)| train.appearance).collect();
     let reading = reading(
         &tree,
         &appearances,
@@ -174,7 +205,9 @@ pub fn train(
         provenance: provenance(folder, train.len(), all.nrows()),
         tree,
         nodes,
+        hearing,
         speech,
+        guide,
         colours,
         reading,
         mouth,
@@ -182,6 +215,7 @@ pub fn train(
     Ok(Trained {
         model: model.map_err(Error::other)?,
         trials,
+        guided,
     })
 }
 
@@ -250,7 +284,7 @@ fn reading(
 /// What pictures that take no part in the fit look and sound like.
 struct Judge {
     landmarks: Array2<f32>,
-    cepstra: Array2<f32>,
+    sounds: Array2<f32>,
     /// Textures of each area at the training pictures' levels.
     textures: Vec<Array2<f32>>,
 }
@@ -267,7 +301,7 @@ impl Judge {
         appearance::normalise_as(&mut textures, tree, levels);
         Ok(Self {
             landmarks: pictures::stacked(picked, |clip| &clip.landmarks)?,
-            cepstra: pictures::stacked(picked, |clip| &clip.cepstra)?,
+            sounds: pictures::stacked(picked, |clip| &clip.heard)?,
             textures,
         })
     }

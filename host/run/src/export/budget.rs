@@ -22,6 +22,7 @@
 //! within 7 % of eighteen counts.
 use lipstream_core::{Likelihood, Model, Stream, StreamSettings};
 
+use crate::kinds::hierarchical::{HierarchicalModel, Node};
 use crate::kinds::recurrent::model::RecurrentModel;
 
 /// A model under a beam.
@@ -72,6 +73,18 @@ pub fn instructions(model: &RecurrentModel, beam_bits: f64) -> f64 {
         + 18.0 * (3.0 * h + d)
         + 30.0 * h
         + 1_360.0 * active
+}
+
+/// Instructions of a hop of a hierarchical model on average: a picture every fourth.
+pub fn instructions_of_pictures(model: &HierarchicalModel) -> f64 {
+    let of = |node: &Node| {
+        let (k, m) = (node.map.clusters.len(), node.map.modes());
+        (k * model.speech.modes() + m * (model.speech.modes() + node.appearance.size())) as f64
+    };
+    let picture =
+        model.nodes.iter().map(of).sum::<f64>() + (model.speech.modes() * model.speech.size()) as f64;
+    let d = model.n_parameters() as f64;
+    36_000.0 + 20.0 * d + 8.0 * picture / 4.0
 }
 
 /// Instructions of a hop of a likelihood-trained model with so many active joint states on average.

@@ -1,8 +1,9 @@
 //! The float model quantised into the device's tables, and how much was lost on the way.
 //!
 //! The layout of the tables and the writers of their sections are the core's ([`lipstream_core::model`]); equal models give equal
-//! bytes. `tables.rs` has what every model has, `local_linear.rs` and `mge.rs` what their kind needs.
+//! bytes. `tables.rs` has what every model has, `local_linear.rs`, `mge.rs` and `hierarchical.rs` what their kind needs.
 pub mod budget;
+mod hierarchical;
 mod local_linear;
 mod mge;
 mod tables;
@@ -12,6 +13,7 @@ use lipstream_core::model::ModelError;
 use serde::Serialize;
 
 use crate::kinds::likelihood::Model;
+pub use hierarchical::export as export_hierarchical;
 pub use mge::{ExportSettings as MgeSettings, export as export_mge};
 
 /// Why the device cannot run a model.
@@ -24,6 +26,9 @@ pub enum ExportError {
     /// The model hears its own memory, which the device does not feed back: train one that hears its mouth, or nothing.
     #[error("the device feeds back the mouth, not the memory")]
     MemoryFeedback,
+    /// A hierarchical model that hears the paper's windows: train one that hears the device's front end.
+    #[error("the model hears windows of 40 ms, which the device has none of: train it with --for-device")]
+    Hearing,
     /// The model has more of something than the device has room for: train a smaller one.
     #[error("{0}")]
     Size(String),

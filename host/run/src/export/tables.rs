@@ -226,12 +226,19 @@ pub(super) struct SumRows {
     weights: Vec<u8>,
     shifts: Vec<u8>,
     offsets: Vec<u8>,
+    most_shift: u8,
     errors: Errors,
 }
 
 impl SumRows {
     pub(super) fn new(unit: &'static str) -> Self {
+        Self::within(unit, MAX_SHIFT)
+    }
+
+    /// Rows whose sums are shifted by no more than this.
+    pub(super) fn within(unit: &'static str, most_shift: u8) -> Self {
         Self {
+            most_shift,
             weights: Vec::new(),
             shifts: Vec::new(),
             offsets: Vec::new(),
@@ -246,7 +253,7 @@ impl SumRows {
         let sum = weights.iter().map(|w| w.abs()).sum::<f64>() * scale;
         let room = (32767.0 / largest).min((65535.0 - weights.len() as f64) / sum);
         let shift = if largest > 0.0 {
-            room.log2().floor().min(f64::from(MAX_SHIFT))
+            room.log2().floor().min(f64::from(self.most_shift))
         } else {
             0.0
         };
@@ -281,6 +288,12 @@ impl SumRows {
 
     pub(super) fn store_projection(self, tables: &mut Tables) {
         self.store(tables, [PROJECTION, PROJECTION_SHIFT, PROJECTION_OFFSET]);
+    }
+
+    /// Rows that have no offset.
+    pub(super) fn store_without_offsets(self, tables: &mut Tables, [weights, shifts]: [Section; 2]) {
+        tables.put(weights, self.weights, self.errors.report());
+        tables.put(shifts, self.shifts, None);
     }
 
     pub(super) fn store(self, tables: &mut Tables, [weights, shifts, offsets]: [Section; 3]) {

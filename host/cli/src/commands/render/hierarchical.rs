@@ -1,7 +1,7 @@
 //! Faces of a hierarchical model, whole, from speech.
 use anyhow::{Context as _, Result, bail, ensure};
 use lipstream::kinds::hierarchical::voice::Voice;
-use lipstream::kinds::hierarchical::{HierarchicalModel, at_frames, speech};
+use lipstream::kinds::hierarchical::{Choice, HierarchicalModel, at_frames, speech};
 use lipstream::render::Scene as _;
 use lipstream::render::hierarchical::HierarchicalScene;
 use lipstream::tensors::Tensors;
@@ -30,13 +30,12 @@ pub(super) fn draw(args: &Args, tensors: &Tensors, of_speech: bool) -> Result<Dr
         .with_context(|| format!("{} is no usable model", args.model_name().display()))?;
     let mut scene = HierarchicalScene::new(&model, args.scale)?;
     let samples = read_sound(&args.input)?;
-    let pictures = samples.len().div_ceil(speech::WINDOW);
-    let cepstra = speech::Cepstra::default().of_pictures(&samples, pictures, speech::PICTURES_HZ as f32);
-    let mut heard = model.speech_parameters(&cepstra);
+    let mut heard = model.hear(&samples);
     if let Some(adaptation) = args.adapt {
         heard = Voice::learn(&model.speech, heard.view(), adaptation.into()).apply(&heard);
     }
-    let said = model.convert_speech(&heard);
+    let choice = args.choice.map_or(Choice::Mahalanobis, Choice::from);
+    let said = model.convert_speech(&heard, &samples, choice)?;
     let count = time::frame_count(samples.len());
     let mut source = Source::Parameters(at_frames(&said, speech::PICTURES_HZ as f32, count));
     let sound = Sound::of_samples(samples)?;

@@ -60,6 +60,9 @@ pub(crate) struct Args {
     /// With a hierarchical model: bring another voice's speech parameters to the training voice's distribution, as learnt from the whole sound
     #[arg(long, value_enum)]
     adapt: Option<choices::Adaptation>,
+    /// With a hierarchical model: what chooses the cluster of each picture [default: mahalanobis]
+    #[arg(long, value_enum)]
+    choice: Option<choices::ClusterChoice>,
     #[command(flatten)]
     face: FaceArgs,
     /// Put the fine detail that eigenmouths leave out onto the mouth alone, from the mouths of this feature folder, on which the model was trained
@@ -95,9 +98,13 @@ pub(crate) fn run(args: Args) -> Result<()> {
         tell(&args, &drawn);
         return Ok(());
     }
-    if args.adapt.is_some() {
+    let of_hierarchical = [
+        (args.adapt.is_some(), "--adapt"),
+        (args.choice.is_some(), "--choice"),
+    ];
+    if let Some((_, word)) = of_hierarchical.iter().find(|(given, _)| *given) {
         bail!(
-            "--adapt is of hierarchical models; {} holds another",
+            "{word} is of hierarchical models; {} holds another",
             args.model_name().display()
         );
     }

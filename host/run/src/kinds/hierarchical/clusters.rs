@@ -90,9 +90,14 @@ impl SpeechMap {
 
     /// Appearance for a row of speech parameters of each picture, `[pictures, C]`: choice and estimate picture by picture, not yet smoothed.
     pub fn convert(&self, speech: &Array2<f32>) -> Array2<f32> {
+        self.convert_by(speech, speech.outer_iter().map(|heard| self.choose(heard)))
+    }
+
+    /// [`SpeechMap::convert`] with the cluster of each picture chosen elsewhere.
+    pub fn convert_by(&self, speech: &Array2<f32>, chosen: impl Iterator<Item = usize>) -> Array2<f32> {
         let mut out = Array2::zeros((speech.nrows(), self.appearance_size()));
-        for (heard, mut said) in speech.outer_iter().zip(out.outer_iter_mut()) {
-            said.assign(&self.estimate(self.choose(heard), heard));
+        for ((heard, cluster), mut said) in speech.outer_iter().zip(chosen).zip(out.outer_iter_mut()) {
+            said.assign(&self.estimate(cluster, heard));
         }
         out
     }

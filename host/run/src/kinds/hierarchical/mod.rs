@@ -13,6 +13,8 @@ use crate::time;
 pub mod appearance;
 pub mod clusters;
 mod compose;
+pub mod drawn;
+pub mod guide;
 pub mod linear;
 pub mod mesh;
 pub mod speech;
@@ -22,7 +24,9 @@ pub mod yiq;
 pub use appearance::Appearance;
 pub use clusters::{Cluster, SpeechMap};
 pub use compose::Part;
+pub use guide::{Choice, Guide};
 pub use linear::Linear;
+pub use speech::Hearing;
 
 /// What the file's note `kind` says.
 pub const KIND: &str = "hierarchical";
@@ -174,8 +178,12 @@ pub struct Pieces {
     pub tree: Tree,
     /// A node for each area.
     pub nodes: Vec<Node>,
-    /// Principal components of mel-cepstra (eq. 4 and 5).
+    /// What is heard of each picture.
+    pub hearing: Hearing,
+    /// Principal components of what is heard (eq. 4 and 5).
     pub speech: Linear,
+    /// What chooses clusters in place of the distance of eq. 8, where the model was trained with a guide.
+    pub guide: Option<Guide>,
     /// Colours of the root.
     pub colours: Colours,
     /// Reads eigenmouth weights from all appearances, so that the model can be measured beside others: rows of \[bias; c of every node\], `[1 + C, D]`.
@@ -196,7 +204,9 @@ impl HierarchicalModel {
         let Pieces {
             tree,
             nodes,
+            hearing,
             speech,
+            guide,
             colours,
             reading,
             mouth,
@@ -211,12 +221,16 @@ impl HierarchicalModel {
         if nodes.is_empty()
             || nodes.len() != tree.areas.len()
             || !sizes_fit
+            || speech.size() != hearing.size()
             || reading.dim() != (1 + all, mouth.size())
         {
             bail!(
                 Data,
                 "the nodes, the speech, the eigenmouths and the tree of the model do not fit each other"
             );
+        }
+        if let Some(guide) = guide {
+            guide.check(nodes.iter().map(|node| &node.map))?;
         }
         let root = &nodes[0].appearance;
         let half = half_patch(root)?;
@@ -263,28 +277,70 @@ impl HierarchicalModel {
             .collect()
     }
 
-    /// Appearances of every picture of a sound at [`speech::PICTURES_HZ`], `[pictures, C of all nodes]`, smoothed.
-    pub fn convert(&self, samples: &[i16]) -> Array2<f32> {
-        let pictures = samples.len().div_ceil(speech::WINDOW);
-        let cepstra = speech::Cepstra::default().of_pictures(samples, pictures, speech::PICTURES_HZ as f32);
-        self.convert_cepstra(&cepstra)
+    /// Appearances of every picture of a sound at [`speech::PICTURES_HZ`], `[pictures, C of all nodes]`, smoothed; each cluster chosen as is said.
+    ///
+    /// # Errors
+    ///
+    /// A choice that the model was not trained for; a sound that is not finite to its guide.
+    pub fn convert(&self, samples: &[i16], choice: Choice) -> Result<Array2<f32>> {
+        self.convert_speech(&self.hear(samples), samples, choice)
     }
 
-    /// [`HierarchicalModel::convert`] from mel-cepstra that are already there.
-    pub fn convert_cepstra(&self, cepstra: &Array2<f32>) -> Array2<f32> {
-        self.convert_speech(&self.speech_parameters(cepstra))
+    /// Speech parameters s of every picture of a sound at [`speech::PICTURES_HZ`] (eq. 5), `[pictures, S]`.
+    pub fn hear(&self, samples: &[i16]) -> Array2<f32> {
+        let pictures = self.hearing.pictures(samples.len());
+        let heard = self
+            .hearing
+            .of_pictures(samples, pictures, speech::PICTURES_HZ as f32);
+        self.speech_parameters(&heard)
     }
 
-    /// [`HierarchicalModel::convert`] from speech parameters, which a [`voice::Voice`] may have brought to those of the training voice.
-    pub fn convert_speech(&self, speech: &Array2<f32>) -> Array2<f32> {
-        let parts: Vec<Array2<f32>> = self.nodes.iter().map(|node| node.map.convert(speech)).collect();
-        let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
-        clusters::smooth(&concatenate(Axis(1), &views).expect("a row for each picture"))
+    /// [`HierarchicalModel::convert`] of a sound whose speech parameters a [`voice::Voice`] may have brought to those of the training voice; a guide hears the sound itself.
+    ///
+    /// # Errors
+    ///
+    /// As [`HierarchicalModel::convert`].
+    pub fn convert_speech(
+        &self,
+        speech: &Array2<f32>,
+        samples: &[i16],
+        choice: Choice,
+    ) -> Result<Array2<f32>> {
+        let Some(guide) = self.guide_of(choice)? else {
+            return Ok(self.convert_alone(speech));
+        };
+        let rate_hz = speech::PICTURES_HZ as f32;
+        let evidence = guide.teacher.evidence(choice, samples, speech.nrows(), rate_hz)?;
+        let parts = std::iter::zip(&self.nodes, guide.advice(choice)).map(|(node, advice)| {
+            let heard = speech.outer_iter().zip(evidence.outer_iter());
+            node.map
+                .convert_by(speech, heard.map(|(s, e)| advice.choose(&node.map, e, s)))
+        });
+        Ok(smoothed(&parts.collect::<Vec<_>>()))
     }
 
-    /// Speech parameters s of mel-cepstra (eq. 5).
-    pub fn speech_parameters(&self, cepstra: &Array2<f32>) -> Array2<f32> {
-        (cepstra - &self.speech.mean).dot(&self.speech.components.t())
+    /// What makes a choice; none where each picture's own sound does.
+    ///
+    /// # Errors
+    ///
+    /// That the model was not trained for it.
+    pub fn guide_of(&self, choice: Choice) -> Result<Option<&Guide>> {
+        match &self.guide {
+            _ if choice == Choice::Mahalanobis => Ok(None),
+            Some(guide) if !guide.advice(choice).is_empty() => Ok(Some(guide)),
+            _ => Err(guide::not_trained(choice)),
+        }
+    }
+
+    /// Appearances of speech parameters `[pictures, S]`, chosen and estimated from each picture's own, smoothed.
+    pub fn convert_alone(&self, speech: &Array2<f32>) -> Array2<f32> {
+        let parts = self.nodes.iter().map(|node| node.map.convert(speech));
+        smoothed(&parts.collect::<Vec<_>>())
+    }
+
+    /// Speech parameters s of what was heard of pictures (eq. 5).
+    pub fn speech_parameters(&self, heard: &Array2<f32>) -> Array2<f32> {
+        (heard - &self.speech.mean).dot(&self.speech.components.t())
     }
 
     /// Eigenmouth weights of appearances `[n, C]`.
@@ -345,11 +401,15 @@ impl HierarchicalModel {
         out.note("hierarchical.version", VERSION);
         out.note("provenance", &self.provenance);
         out.note("hierarchical.tree", serde_json::to_string(&self.tree)?);
+        self.hearing.put(&mut out);
         self.speech.put(&mut out, "speech");
         for (area, node) in std::iter::zip(&self.tree.areas, &self.nodes) {
             node.appearance
                 .put(&mut out, &format!("node.{}.appearance", area.name));
             node.map.put(&mut out, &format!("node.{}.map", area.name));
+        }
+        if let Some(guide) = &self.guide {
+            guide.put(&mut out, self.tree.areas.iter().map(|area| area.name.as_str()));
         }
         out.put("colours.appearances", &self.colours.appearances);
         out.put("colours.chroma", &self.colours.chroma);
@@ -401,7 +461,9 @@ impl HierarchicalModel {
             .collect::<Result<_>>()?;
         Self::new(Pieces {
             nodes,
+            guide: Guide::read(from, tree.areas.iter().map(|area| area.name.as_str()))?,
             tree,
+            hearing: Hearing::read(from)?,
             speech: Linear::read(from, "speech")?,
             colours: Colours {
                 appearances: from.array("colours.appearances")?,
@@ -412,6 +474,12 @@ impl HierarchicalModel {
             provenance: from.noted("provenance")?,
         })
     }
+}
+
+/// The numbers of all nodes side by side, smoothed.
+fn smoothed(parts: &[Array2<f32>]) -> Array2<f32> {
+    let views: Vec<_> = parts.iter().map(|part| part.view()).collect();
+    clusters::smooth(&concatenate(Axis(1), &views).expect("a row for each picture"))
 }
 
 /// The pixels of a node's mean shape at half its size.

@@ -1,60 +1,8 @@
-//! A face of nine landmarks with a mouth of four in its middle, drawn: a chin that drops, a mouth that opens and darkens.
+//! The drawn face of [`drawn`], and what is said to models and trees that are none.
 use ndarray::{Array1, Array2, array};
 
+use super::drawn::{FACE, MOUTH, linear};
 use super::*;
-
-/// The face's corners, the middles of its sides are left out; landmarks 4 to 7 are the mouth, 8 is above it.
-const FACE: [[f32; 2]; 9] = [
-    [1.0, 1.0],
-    [30.0, 1.0],
-    [30.0, 34.0],
-    [1.0, 34.0],
-    [10.0, 20.0],
-    [15.0, 17.0],
-    [20.0, 20.0],
-    [15.0, 24.0],
-    [15.0, 8.0],
-];
-const MOUTH: [usize; 4] = [4, 5, 6, 7];
-
-fn flat(points: &[[f32; 2]]) -> Array1<f32> {
-    points.iter().flatten().copied().collect()
-}
-
-/// One component of a size; `at` are its entries that are not 0, before they are made of unit length.
-fn linear(mean: Array1<f32>, at: impl Fn(usize) -> f32, variance: f32) -> Linear {
-    let raw: Array1<f32> = (0..mean.len()).map(at).collect();
-    let norm = raw.dot(&raw).sqrt();
-    Linear {
-        components: (raw / norm).insert_axis(Axis(0)),
-        variances: array![variance],
-        mean,
-    }
-}
-
-fn appearance(
-    landmarks: &[[f32; 2]],
-    triangles: mesh::Triangles,
-    moves: usize,
-    level: (f32, f32),
-) -> Appearance {
-    let mean = flat(landmarks);
-    let patch = appearance::patch(mean.view(), &triangles).unwrap();
-    let joint = Linear {
-        mean: Array1::zeros(2),
-        components: Array2::eye(2),
-        variances: array![4.0, 9.0],
-    };
-    Appearance {
-        shape: linear(mean, |k| f32::from(u8::from(k == 2 * moves + 1)), 4.0),
-        texture: linear(Array1::zeros(patch.len()), |_| 1.0, 9.0),
-        weight: 2.0,
-        joint,
-        triangles,
-        level,
-        patch,
-    }
-}
 
 /// Two clusters whose mean appearances lie apart, and which speech tells apart.
 fn map() -> SpeechMap {
@@ -74,52 +22,8 @@ fn map() -> SpeechMap {
 }
 
 fn model() -> HierarchicalModel {
-    let tree = Tree::face_and_mouth(MOUTH).over(FACE.len()).unwrap();
-    let around = vec![
-        [0, 1, 8],
-        [0, 8, 4],
-        [0, 4, 3],
-        [3, 4, 7],
-        [3, 7, 2],
-        [7, 6, 2],
-        [6, 1, 2],
-        [8, 1, 6],
-        [8, 5, 4],
-        [8, 6, 5],
-        [4, 5, 7],
-        [5, 6, 7],
-    ];
-    let own = MOUTH.map(|k| [FACE[k][0] - 9.0, FACE[k][1] - 16.0]);
-    let nodes = vec![
-        Node {
-            appearance: appearance(&FACE, around, 2, (120.0, 30.0)),
-            map: map(),
-        },
-        Node {
-            appearance: appearance(&own, vec![[0, 1, 3], [1, 2, 3]], 3, (-0.5, 0.8)),
-            map: map(),
-        },
-    ];
-    let half = half_patch(&nodes[0].appearance).unwrap().len();
-    HierarchicalModel::new(Pieces {
-        tree,
-        nodes,
-        speech: linear(Array1::zeros(12), |k| f32::from(u8::from(k == 0)), 1.0),
-        colours: Colours {
-            appearances: array![[0.0, 0.0], [3.0, 3.0]],
-            chroma: Array2::zeros((2, 2 * half)),
-        },
-        reading: Array2::ones((5, 2)),
-        mouth: MouthSpace {
-            width: 1,
-            height: 1,
-            mean: Array1::zeros(3),
-            basis: Array2::zeros((2, 3)),
-            deviation: Array1::ones(2),
-        },
-        provenance: "drawn".to_owned(),
-    })
-    .unwrap()
+    let speech = linear(Array1::zeros(12), |k| f32::from(u8::from(k == 0)), 1.0);
+    drawn::model(Hearing::Window, speech, [map(), map()]).unwrap()
 }
 
 #[test]
@@ -179,12 +83,17 @@ fn speech_chooses_and_what_is_said_is_smoothed() {
     for (n, heard) in [-4.0, -6.0, 5.0, 5.0].into_iter().enumerate() {
         cepstra[(n, 0)] = heard;
     }
-    let said = model.convert_cepstra(&cepstra);
+    let said = model.convert_alone(&model.speech_parameters(&cepstra));
     assert_eq!(said.column(0).to_vec(), [-1.0, -0.5, 0.5, 1.0]);
     assert_eq!(said.column(2), said.column(0));
     assert_eq!(model.eigenmouths(&said).row(0).to_vec(), [-1.0, -1.0]);
-    assert_eq!(model.convert(&[]).dim(), (0, 4));
-    assert_eq!(model.convert(&[100; 641]).nrows(), 2);
+    assert_eq!(model.convert(&[], Choice::Mahalanobis).unwrap().dim(), (0, 4));
+    assert_eq!(
+        model.convert(&[100; 641], Choice::Mahalanobis).unwrap().nrows(),
+        2
+    );
+    let refused = model.convert(&[100; 641], Choice::Chmm).unwrap_err().to_string();
+    assert!(refused.contains("--guide"), "{refused}");
     assert_eq!(model.groups(), [("face", 0..2), ("mouth", 2..4)]);
 }
 
