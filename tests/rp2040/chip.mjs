@@ -3,7 +3,7 @@
 //   the ROM                not to be had: UF2 files are written to flash as the ROM would, execution begins where it would jump;
 //   faults                 an address where nothing is, or an instruction that is none, raises a hard fault; one inside that, or a stack that
 //                          has left the RAM, locks the processor up until the watchdog fires;
-//   a new start            by the watchdog or by the program: another chip with the same RAM, and flash as it was at first;
+//   a new start            by the watchdog or by the program: another chip with the same RAM, the watchdog's own memory, and flash as it was at first;
 //   SysTick                does not end a sleep: `sleeps` does it;
 //   the bit in a vector    that says "Thumb" stays in the program counter, and jump tables miss by one: taken off here;
 //   speed                  a loop that only counts down while interrupts are off is passed over at once, its cycles counted;
@@ -15,6 +15,8 @@ const FLASH = 0x10000000;
 const VECTORS = 0x10000100;
 const RAM_END = 0x20042000;
 const HARD_FAULT = 3;
+/** Where the emulator keeps the watchdog among its peripherals. */
+const WATCHDOG = 0x40058;
 /** The register and the bit by which a program starts itself anew. */
 const AIRCR = 0xe000ed0c;
 const SYSRESETREQ = 1 << 2;
@@ -104,7 +106,7 @@ class Chip {
       mcu.core.PC &= ~1;
     };
     mcu.onBreak = () => (this.undefinedInstruction = true);
-    const watchdog = mcu.peripherals[0x40058];
+    const watchdog = mcu.peripherals[WATCHDOG];
     watchdog.onWatchdogTrigger = () => {
       // Its alarm would come again at once, for ever.
       watchdog.alarm.enable = false;
@@ -200,7 +202,13 @@ export class Board {
 
   /** A chip that has just been switched on, or started anew. */
   boot() {
-    this.chip = new Chip(this.flash, this.chip?.mcu.sram);
+    const before = this.chip?.mcu;
+    this.chip = new Chip(this.flash, before?.sram);
+    if (before) {
+      const [old, watchdog] = [before, this.chip.mcu].map((mcu) => mcu.peripherals[WATCHDOG]);
+      watchdog.scratchData.set(old.scratchData);
+      watchdog.reason = old.reason;
+    }
     return this.chip;
   }
 }

@@ -30,7 +30,8 @@ pub(crate) struct Microphone {
 }
 
 impl Microphone {
-    /// Sets everything going; pins are the ADC's input, and the one that keeps the supply's regulator from its noisy way of saving power.
+    /// Sets everything going; pins are the ADC's input, and the one that keeps the supply's regulator from its noisy way of saving power (on a
+    /// Pico W it gives the radio power instead, which then waits).
     pub(crate) fn begin(
         adc: pac::ADC,
         dma: pac::DMA,

@@ -433,13 +433,23 @@ fn a_host_that_comes_and_goes_changes_nothing() {
     let mut rest = expected.iter();
     assert!(usb.iter().all(|frame| rest.any(|other| other == frame)));
     let status = last_status(&said.uart);
+    let loads: Vec<u16> = said
+        .uart
+        .iter()
+        .filter_map(|message| match message {
+            ToHost::Status(status) => Some(status.load_permille),
+            _ => None,
+        })
+        .collect();
+    let mean = loads.iter().map(|load| f64::from(*load)).sum::<f64>() / loads.len() as f64;
     println!(
-        "{openings} openings in {} s of sound: {} frames on the UART, {} on USB, {status:?}, {:?}, {}",
+        "{openings} openings in {} s of sound: {} frames on the UART, {} on USB, {status:?}, {:?}, {}; load {mean:.1} on average, {:?} at most",
         heard / 16_000,
         uart.len(),
         usb.len(),
         said.losses,
-        said.report
+        said.report,
+        loads.iter().max()
     );
     assert_eq!((status.overruns, status.dropped, status.unknown), (0, 0, 0));
     assert_eq!(said.report["starts"], json!([]));
