@@ -2,6 +2,7 @@
 use lipstream_core::HOP_SAMPLES;
 use lipstream_core::SAMPLE_RATE_HZ;
 use lipstream_core::kinds::Kind;
+use lipstream_core::logmath::LogProb;
 use lipstream_core::model::ModelError;
 use lipstream_core::wire::{
     Frame, Hello, MAX_ENCODED, MAX_PCM_SAMPLES, Notice, Pcm, Profile, Receiver, Status, ToDevice, ToHost,
@@ -63,6 +64,7 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> App<'m, K, L, C, F> {
             engine: Engine {
                 model,
                 refused: None,
+                widest_beam: None,
                 stream: Stream::new(model, StreamSettings::of(Profile::Standard)),
                 line,
                 clock,
@@ -84,6 +86,12 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> App<'m, K, L, C, F> {
     /// Why another model than the one that runs, the board's own, was not taken: said to every host that comes.
     pub fn model_refused(&mut self, why: Option<ModelError>) {
         self.engine.refused = why;
+    }
+
+    /// From now on no beam is wider than `widest`, whatever the model's tables say: for processors that have not the time for it.
+    pub fn narrow(&mut self, widest: LogProb) {
+        self.engine.widest_beam = Some(widest);
+        self.engine.set(Profile::Standard);
     }
 
     /// A byte from the host.
@@ -145,6 +153,7 @@ fn pace<'m, K: Kind<'m>>(model: &Model<'m, K>, line: &impl Line) -> Pace {
 struct Engine<'m, K: Kind<'m>, L, C, F> {
     model: &'m Model<'m, K>,
     refused: Option<ModelError>,
+    widest_beam: Option<LogProb>,
     stream: Stream<'m, K>,
     line: L,
     clock: C,
@@ -175,12 +184,21 @@ impl<'m, K: Kind<'m>, L: Line, C: Clock, F: Follower> Engine<'m, K, L, C, F> {
             ToDevice::Start => self.start(),
             ToDevice::Stop => self.stop(),
             ToDevice::Profile(profile) => {
-                self.stream.set(StreamSettings::of(profile));
+                self.set(profile);
                 self.start();
             }
             ToDevice::Pcm(pcm) => self.pcm(pcm),
             ToDevice::Hello { .. } => self.introduce(),
         }
+    }
+
+    fn set(&mut self, profile: Profile) {
+        let own = self.model.own().beam();
+        let beam = self.widest_beam.zip(own).map(|(widest, own)| widest.min(own));
+        self.stream.set(StreamSettings {
+            beam,
+            ..StreamSettings::of(profile)
+        });
     }
 
     /// A host of another protocol: it gets to know ours, and nothing else that it would misread.

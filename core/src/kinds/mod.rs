@@ -13,6 +13,7 @@ pub use likelihood::Likelihood;
 pub use recurrent::Recurrent;
 
 use crate::frame::ParameterFrame;
+use crate::logmath::LogProb;
 use crate::model::container::Sections;
 use crate::model::{Head, Model, ModelError};
 use crate::settings::{Setting, StreamSettings};
@@ -45,6 +46,11 @@ pub trait Kind<'a>: Copy + fmt::Debug + sealed::Sealed + 'a {
 
     /// Viseme weights of a frame; 0 where the kind has no visemes.
     fn n_visemes(&self) -> usize;
+
+    /// The beam of the model's own settings; None where nothing is searched.
+    fn beam(&self) -> Option<LogProb> {
+        None
+    }
 }
 
 /// What turns the front end's numbers into parameters, the state of one stream of a model of kind `K`.

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 use lipstream::export::{MgeSettings, export_mge};
 use lipstream::kinds::recurrent::model::RecurrentModel;
 use lipstream::link::{Link, Losses};
+use lipstream_core::logmath::LogProb;
 use lipstream_core::wire::{Profile, Status, ToDevice, ToHost};
 use lipstream_core::{AnyModel, StreamSettings};
 use object::{Object, ObjectSymbol};
@@ -18,11 +19,19 @@ use crate::common::build::build_firmware;
 use crate::common::qemu::{bytes, pcm};
 use crate::compare::{assert_same, expected_hello, frames, host};
 
-/// Thousandths of the processor that the stream may take, interrupts included, at 133 MHz and with the emulator's model of the flash's
+/// Thousandths of the processor that the stream may take on average over a sentence, interrupts included, at 133 MHz and with the emulator's model of the flash's
 /// cache: `docs/cost.md` has what it takes.
 const MOST_LOAD: u16 = 600;
 /// Sound for a second and a quarter: more than one round of `Hello` and `Status`.
 const LENGTH: usize = 20_000;
+
+/// What a stream on the Pico is set to: its beam is 10 bits wide at most.
+pub(crate) fn pico_settings(profile: Profile) -> StreamSettings {
+    StreamSettings {
+        beam: Some(LogProb::from_q12(10 << 12)),
+        ..StreamSettings::of(profile)
+    }
+}
 
 fn program() -> &'static PathBuf {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
@@ -148,8 +157,9 @@ pub(crate) fn last_status(messages: &[ToHost]) -> Status {
 /// The sound through the microphone's pins; the frames of the silence that follows it are the host's too.
 #[test]
 fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
-    let settings = StreamSettings::of(Profile::Standard);
-    let mut samples = common::hello()[..LENGTH].to_vec();
+    let settings = pico_settings(Profile::Standard);
+    let mut samples = common::hello();
+    let length = samples.len();
     let said = run("pico-microphone", &samples, &[]);
     let rounds = last_status(&said.usb);
     samples.extend([0; 1600]);
@@ -158,14 +168,20 @@ fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
         assert_eq!(messages[0], ToHost::Hello(expected_hello(&model(), settings)));
         let frames = frames(messages);
         // The last ones are still on their way when the emulator stops.
-        assert!(frames.len() >= LENGTH / 160, "{} frames", frames.len());
+        assert!(frames.len() >= length / 160, "{} frames", frames.len());
         assert_same(&frames, &expected[..frames.len()]);
     }
     assert_eq!(said.losses, [Losses::default(); 2]);
     assert_eq!((rounds.overruns, rounds.dropped), (0, 0));
-    // The device's own count.
-    println!("{rounds:?} {}", said.report);
-    assert!((1..=MOST_LOAD).contains(&rounds.load_permille), "{rounds:?}");
+    // The device's own count, of every second.
+    let loads = said.usb.iter().filter_map(|message| match message {
+        ToHost::Status(status) => Some(status.load_permille),
+        _ => None,
+    });
+    let loads: Vec<u16> = loads.collect();
+    println!("{loads:?} {}", said.report);
+    let mean = loads.iter().sum::<u16>() / loads.len() as u16;
+    assert!(loads.len() >= 4 && (1..=MOST_LOAD).contains(&mean), "{loads:?}");
     assert_eq!(said.report["bitClock"], 1_024_000.0);
     assert_eq!(said.report["starts"], json!([]));
     assert!(said.report["blinks"].as_u64() >= Some(2), "{}", said.report);
@@ -176,7 +192,7 @@ fn a_microphone_gives_the_hosts_bytes_on_usb_and_uart() {
 /// `Pcm` over USB instead of the room's sound, from the host's `Start` to its `Stop`.
 #[test]
 fn sound_from_the_host_takes_the_microphones_place() {
-    let settings = StreamSettings::of(Profile::Live);
+    let settings = pico_settings(Profile::Live);
     let speech = common::hello();
     let samples = &speech[4000..][..8000];
     let mut line = bytes(ToDevice::Profile(Profile::Live));
@@ -213,7 +229,7 @@ fn troubles_of_one_host_are_its_own() {
     ];
     let said = run("pico-troubles", &samples, &events);
     samples.extend([0; 1600]);
-    let expected = host(&model(), StreamSettings::of(Profile::Standard), &samples);
+    let expected = host(&model(), pico_settings(Profile::Standard), &samples);
     let uart = frames(&said.uart);
     assert!(uart.len() >= LENGTH / 160 - 10, "{} frames", uart.len());
     assert_same(&uart, &expected[..uart.len()]);
@@ -264,7 +280,7 @@ fn another_model_runs_without_a_new_program() {
     let samples = &common::hello()[..LENGTH / 2];
     let job = json!({ "events": [], "flash": [flashed(), file] });
     let said = run_with(&other, "pico-other", samples, job);
-    let settings = StreamSettings::of(Profile::Standard);
+    let settings = pico_settings(Profile::Standard);
     assert_eq!(said.usb[0], ToHost::Hello(expected_hello(&other, settings)));
     let expected = host(&other, settings, samples);
     let came = frames(&said.usb);
@@ -291,7 +307,7 @@ fn a_damaged_model_leaves_the_built_in_one_running() {
     let samples = &common::hello()[..LENGTH / 4];
     let job = json!({ "events": [], "flash": [flashed(), file] });
     let said = run_with(&model(), "pico-damaged", samples, job);
-    let settings = StreamSettings::of(Profile::Standard);
+    let settings = pico_settings(Profile::Standard);
     let expected = host(&model(), settings, samples);
     for messages in [&said.usb, &said.uart] {
         assert_eq!(messages[0], ToHost::Hello(expected_hello(&model(), settings)));
@@ -340,7 +356,7 @@ fn comes_back(name: &str, halves: &[u16]) -> (Vec<ToHost>, Value) {
     let report: Value = serde_json::from_slice(&report).expect("the report");
     let starts = report["starts"].as_array().expect("a list");
     assert_eq!(starts.len(), 1, "{report}");
-    let expected = host(&model(), StreamSettings::of(Profile::Standard), samples);
+    let expected = host(&model(), pico_settings(Profile::Standard), samples);
     let mut before = Vec::new();
     for port in ["usb", "uart"] {
         let wire = std::fs::read(folder.join(format!("{port}.wire"))).expect("what was sent");
@@ -423,7 +439,7 @@ fn a_host_that_comes_and_goes_changes_nothing() {
     let said = run_with(&model(), "pico-comes-and-goes", &samples, job);
     let heard = samples.len();
     samples.extend([0; 1600]);
-    let expected = host(&model(), StreamSettings::of(Profile::Standard), &samples);
+    let expected = host(&model(), pico_settings(Profile::Standard), &samples);
     let uart = frames(&said.uart);
     assert!(uart.len() >= heard / 160, "{} frames", uart.len());
     assert_same(&uart, &expected[..uart.len()]);

@@ -1,6 +1,5 @@
 //! The Pico with an amplifier's voltage at its ADC (feature `adc`), in rp2040js: counts of 12 bits come by the ADC, its FIFO and DMA; what leaves by USB and
 //! UART is what the core gives on the host for the sound that the firmware's own filter makes of the same counts.
-use lipstream_core::StreamSettings;
 use lipstream_core::wire::{Profile, ToHost};
 use lipstream_firmware::decimate::{Decimator, FACTOR};
 use rand::{RngExt as _, SeedableRng as _};
@@ -10,7 +9,7 @@ use serde_json::json;
 use crate::common;
 use crate::common::build::build_firmware_with;
 use crate::compare::{assert_same, expected_hello, frames, host};
-use crate::pico::{emulate_bytes, last_status, model, read, uf2};
+use crate::pico::{emulate_bytes, last_status, model, pico_settings, read, uf2};
 
 /// What the board does not listen to while a microphone settles.
 const SETTLING: usize = 4800;
@@ -52,7 +51,7 @@ fn a_voltage_gives_the_hosts_bytes() {
     let mut decimator = Decimator::new();
     let eights = counts.as_chunks().0.iter();
     let sound: Vec<i16> = eights.map(|counts| decimator.push(*counts)).collect();
-    let settings = StreamSettings::of(Profile::Standard);
+    let settings = pico_settings(Profile::Standard);
     let expected = host(&model, settings, &sound[SETTLING..]);
     for messages in [&said.usb, &said.uart] {
         assert_eq!(messages[0], ToHost::Hello(expected_hello(&model, settings)));

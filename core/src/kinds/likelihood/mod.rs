@@ -20,6 +20,7 @@ use crate::context::tables::SumRows;
 use crate::context::{ContextTables, SumRow};
 use crate::frame::N_VISEMES;
 use crate::hmm::HmmTables;
+use crate::logmath::LogProb;
 use crate::model::container::Sections;
 use crate::model::{Head, I16s, ModelError};
 use crate::settings::Setting;
@@ -65,6 +66,10 @@ impl<'a> Kind<'a> for Likelihood<'a> {
 
     fn n_visemes(&self) -> usize {
         N_VISEMES
+    }
+
+    fn beam(&self) -> Option<LogProb> {
+        Some(self.settings().beam)
     }
 }
 

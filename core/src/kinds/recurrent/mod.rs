@@ -35,6 +35,7 @@ use super::{Kind, sealed::Sealed};
 use crate::context::ContextTables;
 use crate::frame::N_VISEMES;
 use crate::hmm::HmmTables;
+use crate::logmath::LogProb;
 use crate::model::container::Sections;
 use crate::model::{Head, I16s, ModelError};
 use crate::settings::Setting;
@@ -84,6 +85,10 @@ impl<'a> Kind<'a> for Recurrent<'a> {
 
     fn n_visemes(&self) -> usize {
         N_VISEMES
+    }
+
+    fn beam(&self) -> Option<LogProb> {
+        Some(self.settings().beam)
     }
 }
 
