@@ -7,7 +7,9 @@ use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
 use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
+use serde_json::json;
 
+use super::answer::{self, Answer, Done};
 use super::streams;
 use crate::progress::Terminal;
 
@@ -35,6 +37,8 @@ pub(crate) struct Args {
     /// Size of the video in pixels, for labels in shares of it (MediaPipe)
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
+    #[command(flatten)]
+    answer: Answer,
 }
 
 /// A size such as 1280x720.
@@ -68,7 +72,16 @@ pub(crate) fn run(args: Args) -> Result<()> {
         Some(clips) => found(clips, &labelled)?,
         None => Labels::known(labelled),
     };
-    Ok(labels.write(&args.output)?)
+    labels.write(&args.output)?;
+    if args.answer.json {
+        let pictures: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+        let (unsure, lost) = labels.unsure();
+        args.answer.note(&Done::new(
+            String::new(),
+            json!({ "output": answer::path(&args.output), "pictures": pictures, "unsure": unsure, "without_a_face": lost }),
+        ));
+    }
+    Ok(())
 }
 
 /// The videos of a folder; or the one that is given.
