@@ -8,7 +8,7 @@ use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
 
-use super::streams;
+use super::{landmarks_page, streams};
 use crate::progress::Terminal;
 
 /// Pictures that are named when they are to be looked at; of more only the number is said.
@@ -35,6 +35,12 @@ pub(crate) struct Args {
     /// Size of the video in pixels, for labels in shares of it (MediaPipe)
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
+    /// Serve a page on which points can be dragged: it shows the least sure picture, learns what is accepted and shows the next. The table gets all labels, old and new
+    #[arg(long, value_name = "LABELS.csv", requires = "video")]
+    page: Option<PathBuf>,
+    /// Port of the page; 0 is any
+    #[arg(long, default_value_t = 7341, requires = "page")]
+    port: u16,
 }
 
 /// A size such as 1280x720.
@@ -64,11 +70,14 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
     };
     let labelled = import::read(&args.labelled, &how)?;
-    let labels = match &clips {
-        Some(clips) => found(clips, &labelled)?,
-        None => Labels::known(labelled),
-    };
-    Ok(labels.write(&args.output)?)
+    match (clips, &args.page) {
+        (Some(clips), Some(table)) => {
+            landmarks_page::keeps(table, &args.labelled, &args.output)?;
+            landmarks_page::run(clips, labelled, table, &args.output, args.port)
+        }
+        (Some(clips), None) => Ok(found(&clips, &labelled)?.write(&args.output)?),
+        (None, _) => Ok(Labels::known(labelled).write(&args.output)?),
+    }
 }
 
 /// The videos of a folder; or the one that is given.
@@ -94,6 +103,16 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
         None => terminal.say("1 labelled picture: nothing says how far points will be off; label more"),
     }
     let labels = label::label(clips, labelled, &labeller, &terminal)?;
+    summary(&labels, &terminal)?;
+    Ok(labels)
+}
+
+/// Says what was found, and which pictures are to be looked at.
+///
+/// # Errors
+///
+/// That there is no face at all.
+pub(super) fn summary(labels: &Labels, terminal: &Terminal) -> Result<()> {
     let all: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
     let (unsure, lost) = labels.unsure();
     let doubtful: usize = unsure.values().map(Vec::len).sum();
@@ -102,7 +121,7 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
     }
     terminal.say(&format!(
         "{all} pictures of {} clips: {} found, {doubtful} of them unsure; {lost} without a face",
-        clips.len(),
+        labels.landmarks.clips().count(),
         all - lost
     ));
     let pictures = unsure
@@ -119,5 +138,5 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
             }
         ));
     }
-    Ok(labels)
+    Ok(())
 }
