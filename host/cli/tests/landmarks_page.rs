@@ -113,6 +113,50 @@ fn corrected(state: &Value, points: &Value) -> Value {
     body
 }
 
+#[test]
+fn what_was_found_is_told_as_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    heads::talker(root);
+    let report = |words: &str| -> Value {
+        let ran = run_with_programs(root, &words.split(' ').collect::<Vec<_>>());
+        assert!(ran.status.success(), "{}", String::from_utf8_lossy(&ran.stderr));
+        serde_json::from_slice(&ran.stdout).unwrap()
+    };
+    let found = report("landmarks talker.mp4 --labelled some.csv -o all.csv --json");
+    let table = std::fs::read_to_string(root.join("all.csv")).unwrap();
+    let confidence = |line: &str| line.split(',').nth(2).unwrap().parse::<f32>().unwrap();
+    let all: Vec<f32> = table.lines().skip(1).map(confidence).collect();
+    let with_points = all.iter().filter(|c| **c > 0.0).count();
+    let unsure: Vec<usize> = (0..24).filter(|t| all[*t] > 0.0 && all[*t] < 0.6).collect();
+    assert_eq!(
+        (
+            &found["output"],
+            &found["clips"],
+            &found["pictures"],
+            &found["labelled"]
+        ),
+        (&json!("all.csv"), &json!(1), &json!(24), &json!(6))
+    );
+    assert_eq!(found["with_points"], json!(with_points));
+    assert!(found["expected_error"].as_f64().unwrap() > 0.0);
+    let told = found["unsure"].as_array().unwrap();
+    let pictures: Vec<usize> = told
+        .iter()
+        .map(|of| of["picture"].as_u64().unwrap() as usize)
+        .collect();
+    assert_eq!(pictures, unsure);
+    let rewritten = report("landmarks --labelled some.csv -o some.npz --json");
+    assert_eq!(
+        (&rewritten["labelled"], &rewritten["with_points"]),
+        (&json!(6), &json!(6))
+    );
+    assert_eq!(
+        (&rewritten["expected_error"], &rewritten["unsure"]),
+        (&Value::Null, &json!([]))
+    );
+}
+
 const WORDS: &str = "landmarks talker.mp4 --labelled some.csv -o all.npz --page labels.csv";
 
 #[test]

@@ -7,8 +7,10 @@ use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
 use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
+use serde::Serialize;
 
-use super::{landmarks_page, streams};
+use super::landmarks_page::{self, Told};
+use super::streams;
 use crate::progress::Terminal;
 
 /// Pictures that are named when they are to be looked at; of more only the number is said.
@@ -41,6 +43,61 @@ pub(crate) struct Args {
     /// Port of the page; 0 is any
     #[arg(long, default_value_t = 7341, requires = "page")]
     port: u16,
+    /// Print what was found as JSON, on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    output: PathBuf,
+    clips: usize,
+    pictures: usize,
+    /// Pictures that have points.
+    with_points: usize,
+    /// Pictures whose points were given.
+    labelled: usize,
+    /// Median distance that may be expected of a point, in shares of the face's width; null where nothing says it.
+    expected_error: Option<f32>,
+    /// Pictures that are to be looked at.
+    unsure: Vec<Unsure>,
+}
+
+#[derive(Debug, Serialize)]
+struct Unsure {
+    clip: String,
+    /// Counted from 0.
+    picture: usize,
+    confidence: f32,
+}
+
+impl Report {
+    pub(super) fn new(
+        labels: &Labels,
+        labelled: &Landmarks,
+        expected_error: Option<f32>,
+        output: &Path,
+    ) -> Self {
+        let (unsure, without) = labels.unsure();
+        let pictures = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+        let unsure = unsure.into_iter().flat_map(|(clip, pictures)| {
+            pictures.into_iter().map(move |picture| Unsure {
+                clip: clip.to_owned(),
+                picture,
+                confidence: labels.confidence(clip)[picture],
+            })
+        });
+        Self {
+            output: output.to_owned(),
+            clips: labels.landmarks.clips().count(),
+            pictures,
+            with_points: pictures - without,
+            labelled: labelled.labelled().len(),
+            expected_error,
+            unsure: unsure.collect(),
+        }
+    }
 }
 
 /// A size such as 1280x720.
@@ -70,14 +127,30 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
     };
     let labelled = import::read(&args.labelled, &how)?;
-    match (clips, &args.page) {
+    let report = match (clips, &args.page) {
         (Some(clips), Some(table)) => {
             landmarks_page::keeps(table, &args.labelled, &args.output)?;
-            landmarks_page::run(clips, labelled, table, &args.output, args.port)
+            let told = Told {
+                port: args.port,
+                keep_standard_output: args.json,
+            };
+            landmarks_page::run(clips, labelled, table, &args.output, &told)?
         }
-        (Some(clips), None) => Ok(found(&clips, &labelled)?.write(&args.output)?),
-        (None, _) => Ok(Labels::known(labelled).write(&args.output)?),
+        (Some(clips), None) => {
+            let (labels, expected) = found(&clips, &labelled)?;
+            labels.write(&args.output)?;
+            Report::new(&labels, &labelled, expected, &args.output)
+        }
+        (None, _) => {
+            let labels = Labels::known(labelled);
+            labels.write(&args.output)?;
+            Report::new(&labels, &labels.landmarks, None, &args.output)
+        }
+    };
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
     }
+    Ok(())
 }
 
 /// The videos of a folder; or the one that is given.
@@ -91,7 +164,8 @@ fn clips(path: &Path) -> Result<Vec<ClipFiles>> {
     Ok(clips)
 }
 
-fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
+/// What a model of the labels finds, and what may be expected of it.
+fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<(Labels, Option<f32>)> {
     let terminal = Terminal::default();
     let labeller = label::learn(clips, labelled, &terminal)?;
     let by_hand = labelled.labelled().len();
@@ -104,7 +178,7 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
     }
     let labels = label::label(clips, labelled, &labeller, &terminal)?;
     summary(&labels, &terminal)?;
-    Ok(labels)
+    Ok((labels, labeller.expected()))
 }
 
 /// Says what was found, and which pictures are to be looked at.

@@ -1,9 +1,7 @@
 //! `lipstream landmarks --page`: a person corrects what the model is least sure of, in a browser.
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::mpsc;
 
 use anyhow::{Context as _, Result, ensure};
 use lipstream::error::chain;
@@ -13,11 +11,19 @@ use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::{Growth, growth};
 use lipstream_media::encode;
 
-use super::landmarks;
+use super::landmarks::{self, Report};
 use crate::progress::Terminal;
 
 /// Of the pictures on the page: what JPEG takes away lies below what points are put by.
 const QUALITY: u8 = 95;
+
+/// What was said about the page.
+pub(super) struct Told {
+    /// Its port; 0 is any.
+    pub(super) port: u16,
+    /// Whether standard output is for something else than its address.
+    pub(super) keep_standard_output: bool,
+}
 
 /// Refuses a table of labels that is there and not read, or that the output would be written onto: its labels would be lost.
 pub(super) fn keeps(table: &Path, labelled: &[PathBuf], output: &Path) -> Result<()> {
@@ -47,9 +53,10 @@ pub(super) fn run(
     labelled: Landmarks,
     table: &Path,
     output: &Path,
-    port: u16,
-) -> Result<()> {
-    let written = Arc::new(AtomicBool::new(false));
+    told: &Told,
+) -> Result<Report> {
+    let port = told.port;
+    let (written, reported) = mpsc::channel();
     let growth = Growth::begin(clips, labelled, table, &Terminal::default())?;
     let page = Page {
         proposal: growth
@@ -59,7 +66,8 @@ pub(super) fn run(
         growth,
         table: table.to_owned(),
         output: output.to_owned(),
-        written: Arc::clone(&written),
+        written,
+        done: false,
     };
     let place = Place {
         address: IpAddr::V4(Ipv4Addr::LOCALHOST),
@@ -68,16 +76,17 @@ pub(super) fn run(
     let server = Server::label(page, &place).with_context(|| {
         format!("cannot serve a page on 127.0.0.1:{port} (--port 0 takes any port that is free)")
     })?;
-    println!(
+    let line = format!(
         "open {} in a browser; what is accepted there is in {} at once, and Done writes {} and ends",
         server.url(),
         table.display(),
         output.display()
     );
-    while !written.load(Ordering::Relaxed) {
-        std::thread::sleep(Duration::from_millis(100));
+    match told.keep_standard_output {
+        true => eprintln!("{line}"),
+        false => println!("{line}"),
     }
-    Ok(())
+    Ok(reported.recv()?)
 }
 
 /// A proposal as the page has it.
@@ -102,7 +111,8 @@ struct Page {
     proposal: Option<Proposal>,
     table: PathBuf,
     output: PathBuf,
-    written: Arc<AtomicBool>,
+    written: mpsc::Sender<Report>,
+    done: bool,
 }
 
 impl Page {
@@ -133,7 +143,7 @@ impl Labelling for Page {
             expected: self.growth.expected(),
             labels: self.table.display().to_string(),
             output: self.output.display().to_string(),
-            done: self.written.load(Ordering::Relaxed),
+            done: self.done,
         }
     }
 
@@ -154,7 +164,11 @@ impl Labelling for Page {
         let written =
             landmarks::summary(labels, &Terminal::default()).and_then(|()| Ok(labels.write(&self.output)?));
         written.map_err(|error| format!("{error:#}"))?;
-        self.written.store(true, Ordering::Relaxed);
+        let growth = &self.growth;
+        let report = Report::new(labels, growth.labelled(), growth.expected(), &self.output);
+        self.done = true;
+        // Nobody waits any more where Done was pressed twice.
+        let _ = self.written.send(report);
         Ok(())
     }
 }
