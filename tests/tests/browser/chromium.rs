@@ -211,6 +211,15 @@ impl Browser {
         self.ask("Input.dispatchMouseEvent", what);
     }
 
+    /// Does something with a finger: `touchStart`, `touchMove` or, wherever it is, `touchEnd`.
+    pub(crate) fn touch(&mut self, kind: &str, place: Option<[f64; 2]>) {
+        let fingers: Vec<Value> = place.iter().map(|[x, y]| json!({ "x": x, "y": y })).collect();
+        self.ask(
+            "Input.dispatchTouchEvent",
+            json!({ "type": kind, "touchPoints": fingers }),
+        );
+    }
+
     /// Presses a key and lets it go.
     pub(crate) fn press(&mut self, key: &str) {
         let code = match key {

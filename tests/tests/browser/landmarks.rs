@@ -89,13 +89,27 @@ fn in_a_browser_a_point_is_kept_where_it_was_dropped() {
     }
     let moved = [[there[0] + 1.0, there[1]], [above[0], above[1] - 1.0]];
     assert!(near(point(&mut browser, 3), moved[0]) && near(point(&mut browser, 4), moved[1]));
+    // By a finger, which does not scroll the page with it: the corner of the mouth.
+    let corner = [20.5, 70.25];
+    let from = point(&mut browser, 0);
+    let [from, to] = [from, corner].map(|place| on_screen(&mut browser, place));
+    browser.touch("touchStart", Some(from));
+    let middle = [0, 1].map(|axis| (from[axis] + to[axis]) / 2.0);
+    browser.touch("touchMove", Some(middle));
+    browser.touch("touchMove", Some(to));
+    browser.touch("touchEnd", None);
+    // Chromium tells of fingers by the pictures that it draws.
+    let [x, y] = corner;
+    browser.wait(&format!(
+        "(([x, y]) => Math.hypot(x - {x}, y - {y}) < 0.1)(window.lipstream.points()[0])"
+    ));
     browser.photograph(&crate::artefacts().join("landmarks.png"));
 
     browser.press("Enter");
     browser.wait("window.lipstream.state().labelled === 7 && !window.lipstream.busy()");
     let kept = Landmarks::read(&folder.path().join("labels.csv")).unwrap();
     let kept = kept.picture("talker", picture).unwrap();
-    for (number, want) in [(3, moved[0]), (4, moved[1])] {
+    for (number, want) in [(0, corner), (3, moved[0]), (4, moved[1])] {
         let have = [0, 1].map(|axis| f64::from(kept[2 * number + axis]));
         assert!(
             near(have, want),

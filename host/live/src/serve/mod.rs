@@ -51,7 +51,7 @@ impl Server {
         Self::serve(place, |door| view::router(desk, door))
     }
 
-    /// Serves the page on which pictures are labelled, until [`Labelling::done`] or the end of this value.
+    /// Serves the page on which pictures are labelled.
     ///
     /// # Errors
     ///

@@ -133,9 +133,12 @@ function grasp(event) {
   const release = ended => {
     if (ended.pointerId !== event.pointerId) return;
     mark.removeEventListener("pointermove", drag);
+    mark.removeEventListener("pointerup", drag);
     mark.removeEventListener("lostpointercapture", release);
   };
   mark.addEventListener("pointermove", drag);
+  // Where it lets go may be further than its last move.
+  mark.addEventListener("pointerup", drag);
   mark.addEventListener("lostpointercapture", release);
 }
 
