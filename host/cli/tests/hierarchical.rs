@@ -3,78 +3,24 @@ mod common;
 
 use std::path::Path;
 
+use common::heads::{self, HEAD, PLACE, film, landmarks};
 use common::program::{one_line, run_with_programs, text};
 use common::talker::{VIDEO_HZ, talker_seen};
 use lipstream::kinds::hierarchical::{Choice, HierarchicalModel, at_frames};
-use lipstream::render::drawn::{HEIGHT, Pose, WIDTH};
-use lipstream_media::sink::{Film, Mp4, Sink as _};
 use ndarray::{Array3, Array4};
 use ndarray_npy::WriteNpyExt as _;
 
-/// Side of a head.
-const HEAD: usize = 96;
-/// Where the mouth's picture lies in the head's.
-const PLACE: (usize, usize) = (16, 40);
-
-/// Left corner, top, right corner, bottom of the outer lips and of the inner ones, then the head's corners and its chin: as `drawn::draw` has them.
-fn landmarks(pose: &Pose) -> [[f32; 2]; 13] {
-    let half = 20.0 - 9.0 * pose.round + 4.0 * pose.spread;
-    let gap = 0.4 + 11.0 * pose.open * (1.0 - 0.35 * pose.round);
-    let lip = 3.6 + 2.2 * pose.round - 0.8 * pose.spread;
-    let x = PLACE.0 as f32 + WIDTH as f32 / 2.0 - 0.5;
-    let y = PLACE.1 as f32 + HEIGHT as f32 * 0.46 - 0.5;
-    let (up, down) = (y - 0.4 * gap, y + 0.6 * gap);
-    let end = (HEAD - 3) as f32;
-    [
-        [x - half, y],
-        [x, up - 0.8 * lip],
-        [x + half, y],
-        [x, down + 1.25 * lip],
-        [x - half + 3.0, y],
-        [x, up],
-        [x + half - 3.0, y],
-        [x, down],
-        [2.0, 2.0],
-        [end, 2.0],
-        [end, end],
-        [2.0, end],
-        [x, end - 5.0 + 0.4 * gap],
-    ]
-}
-
-/// A head with a pattern around the mouth.
-fn head(mouth: ndarray::ArrayView3<u8>) -> Vec<u8> {
-    let mut rgb = Vec::with_capacity(HEAD * HEAD * 3);
-    for y in 0..HEAD {
-        for x in 0..HEAD {
-            let inside = (PLACE.0..PLACE.0 + WIDTH).contains(&x) && (PLACE.1..PLACE.1 + HEIGHT).contains(&y);
-            match inside {
-                true => rgb.extend((0..3).map(|c| mouth[(y - PLACE.1, x - PLACE.0, c)])),
-                false => rgb.extend([180 + (x % 16) as u8, 130 + (y / 4) as u8, 110]),
-            }
-        }
-    }
-    rgb
-}
-
 /// The talker's heads and landmarks in `videos/` and `landmarks/`, features in `features/`.
-fn heads(root: &Path) {
+fn drawn_heads(root: &Path) {
     for folder in ["videos", "landmarks", "features"] {
         std::fs::create_dir_all(root.join(folder)).unwrap();
     }
     talker_seen(&root.join("features"), |id, poses, images: &Array4<u8>| {
-        let film = Film {
-            width: HEAD,
-            height: HEAD,
-            fps: VIDEO_HZ as u32,
-            sound: None,
-            comment: None,
-        };
-        let mut video = Mp4::new(&root.join(format!("videos/{id}.mp4")), &film).unwrap();
-        for image in images.outer_iter() {
-            video.picture(&head(image)).unwrap();
-        }
-        Box::new(video).finish().unwrap();
+        film(
+            &root.join(format!("videos/{id}.mp4")),
+            VIDEO_HZ as u32,
+            images.outer_iter(),
+        );
         let points =
             Array3::from_shape_fn((poses.len(), 13, 2), |(t, k, axis)| landmarks(&poses[t])[k][axis]);
         let file = std::fs::File::create(root.join(format!("landmarks/{id}.npy"))).unwrap();
@@ -123,7 +69,7 @@ fn correlation(a: &[f64], b: &[f64]) -> f64 {
 fn a_drawn_head_learns_to_speak() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    heads(root);
+    drawn_heads(root);
     let mut train = TRAIN.to_vec();
     train.extend(["--clusters", "4,12", "--starts", "2", "--guide", GUIDE]);
     let trained = run_with_programs(root, &train);
@@ -278,7 +224,7 @@ fn a_drawn_head_learns_to_speak() {
 fn a_head_speaks_on_the_device() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    heads(root);
+    drawn_heads(root);
     let mut train = TRAIN.to_vec();
     train.extend(["--clusters", "12", "--starts", "1", "--for-device"]);
     let trained = run_with_programs(root, &train);
@@ -347,7 +293,7 @@ fn succeed_words(root: &Path, command: &str) -> String {
 fn what_cannot_be_trained_is_said_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    heads(root);
+    drawn_heads(root);
     let said = refuse(root, "train features --system hierarchical -o m.safetensors");
     assert!(said.contains("--landmarks"), "{said}");
     let said = refuse(root, "train features --landmarks landmarks -o m.safetensors");
@@ -389,10 +335,7 @@ fn what_cannot_be_trained_is_said_in_one_line() {
 
 /// The points of some pictures as a table: every `step`-th of each of `clips`.
 fn labelled(root: &Path, clips: &[&str], step: usize) -> String {
-    let mut table = "clip,picture".to_owned();
-    for (run, size) in [("lips_outer", 4), ("lips_inner", 4), ("head", 5)] {
-        (0..size).for_each(|k| table += &format!(",x_{run}_{k},y_{run}_{k}"));
-    }
+    let mut table = heads::columns();
     for clip in clips {
         let points = truth(root, clip);
         for (picture, row) in points.outer_iter().enumerate().step_by(step) {
@@ -411,7 +354,7 @@ fn truth(root: &Path, clip: &str) -> Array3<f32> {
 fn a_few_labelled_pictures_give_the_landmarks_of_all() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path();
-    heads(root);
+    drawn_heads(root);
     std::fs::write(
         root.join("some.csv"),
         labelled(root, &["clip00", "clip05", "clip09"], 6),

@@ -203,6 +203,38 @@ impl Browser {
         self.ask("DOM.setFileInputFiles", chosen);
     }
 
+    /// Does something with the left button of the mouse: `mousePressed`, `mouseMoved` or `mouseReleased`.
+    pub(crate) fn mouse(&mut self, kind: &str, [x, y]: [f64; 2]) {
+        let held = u8::from(kind != "mouseReleased");
+        let what =
+            json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": held, "clickCount": 1 });
+        self.ask("Input.dispatchMouseEvent", what);
+    }
+
+    /// Does something with a finger: `touchStart`, `touchMove` or, wherever it is, `touchEnd`.
+    pub(crate) fn touch(&mut self, kind: &str, place: Option<[f64; 2]>) {
+        let fingers: Vec<Value> = place.iter().map(|[x, y]| json!({ "x": x, "y": y })).collect();
+        self.ask(
+            "Input.dispatchTouchEvent",
+            json!({ "type": kind, "touchPoints": fingers }),
+        );
+    }
+
+    /// Presses a key and lets it go.
+    pub(crate) fn press(&mut self, key: &str) {
+        let code = match key {
+            "Tab" => 9,
+            "Enter" => 13,
+            "ArrowUp" => 38,
+            "ArrowRight" => 39,
+            other => other.to_uppercase().as_bytes()[0].into(),
+        };
+        for kind in ["rawKeyDown", "keyUp"] {
+            let what = json!({ "type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code });
+            self.ask("Input.dispatchKeyEvent", what);
+        }
+    }
+
     /// The mouth that is on the screen: R, G, B, A of each pixel.
     pub(crate) fn pixels(&mut self) -> Vec<u8> {
         let text = self.evaluate("Array.from(window.lipstream.pixels()).join(' ')");

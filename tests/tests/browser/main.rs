@@ -1,4 +1,4 @@
-//! The page of `lipstream view` in a real browser, against the firmware in QEMU, a recording and the model in this process; and that of `lipstream mos`.
+//! The page of `lipstream view` in a real browser, against the firmware in QEMU, a recording and the model in this process; and those of `lipstream mos` and `lipstream landmarks`.
 #[path = "../common/mod.rs"]
 #[allow(dead_code, reason = "the tests of the firmware use more of it")]
 mod common;
@@ -6,6 +6,10 @@ mod common;
 #[allow(dead_code, reason = "the benchmark uses more of it")]
 mod chromium;
 mod film;
+#[path = "../../../host/cli/tests/common/heads.rs"]
+#[allow(dead_code, reason = "the tests of the program use more of it")]
+mod heads;
+mod landmarks;
 mod mos;
 mod site;
 

@@ -7,9 +7,9 @@ use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
 use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
-use serde_json::json;
+use serde::Serialize;
 
-use super::answer::{self, Answer, Done};
+use super::landmarks_page::{self, Told};
 use super::streams;
 use crate::progress::Terminal;
 
@@ -37,8 +37,67 @@ pub(crate) struct Args {
     /// Size of the video in pixels, for labels in shares of it (MediaPipe)
     #[arg(long, value_name = "WIDTHxHEIGHT", value_parser = size)]
     size: Option<(usize, usize)>,
-    #[command(flatten)]
-    answer: Answer,
+    /// Serve a page on which points can be dragged: it shows the least sure picture, learns what is accepted and shows the next. The table gets all labels, old and new
+    #[arg(long, value_name = "LABELS.csv", requires = "video")]
+    page: Option<PathBuf>,
+    /// Port of the page; 0 is any
+    #[arg(long, default_value_t = 7341, requires = "page")]
+    port: u16,
+    /// Print what was found as JSON, on standard output
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    output: PathBuf,
+    clips: usize,
+    pictures: usize,
+    /// Pictures that have points.
+    with_points: usize,
+    /// Pictures whose points were given.
+    labelled: usize,
+    /// Median distance that may be expected of a point, in shares of the face's width; null where nothing says it.
+    expected_error: Option<f32>,
+    /// Pictures that are to be looked at.
+    unsure: Vec<Unsure>,
+}
+
+#[derive(Debug, Serialize)]
+struct Unsure {
+    clip: String,
+    /// Counted from 0.
+    picture: usize,
+    confidence: f32,
+}
+
+impl Report {
+    pub(super) fn new(
+        labels: &Labels,
+        labelled: &Landmarks,
+        expected_error: Option<f32>,
+        output: &Path,
+    ) -> Self {
+        let (unsure, without) = labels.unsure();
+        let pictures = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+        let unsure = unsure.into_iter().flat_map(|(clip, pictures)| {
+            pictures.into_iter().map(move |picture| Unsure {
+                clip: clip.to_owned(),
+                picture,
+                confidence: labels.confidence(clip)[picture],
+            })
+        });
+        Self {
+            output: output.to_owned(),
+            clips: labels.landmarks.clips().count(),
+            pictures,
+            with_points: pictures - without,
+            labelled: labelled.labelled().len(),
+            expected_error,
+            unsure: unsure.collect(),
+        }
+    }
 }
 
 /// A size such as 1280x720.
@@ -68,18 +127,28 @@ pub(crate) fn run(args: Args) -> Result<()> {
         },
     };
     let labelled = import::read(&args.labelled, &how)?;
-    let labels = match &clips {
-        Some(clips) => found(clips, &labelled)?,
-        None => Labels::known(labelled),
+    let report = match (clips, &args.page) {
+        (Some(clips), Some(table)) => {
+            landmarks_page::keeps(table, &args.labelled, &args.output)?;
+            let told = Told {
+                port: args.port,
+                keep_standard_output: args.json,
+            };
+            landmarks_page::run(clips, labelled, table, &args.output, &told)?
+        }
+        (Some(clips), None) => {
+            let (labels, expected) = found(&clips, &labelled)?;
+            labels.write(&args.output)?;
+            Report::new(&labels, &labelled, expected, &args.output)
+        }
+        (None, _) => {
+            let labels = Labels::known(labelled);
+            labels.write(&args.output)?;
+            Report::new(&labels, &labels.landmarks, None, &args.output)
+        }
     };
-    labels.write(&args.output)?;
-    if args.answer.json {
-        let pictures: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
-        let (unsure, lost) = labels.unsure();
-        args.answer.note(&Done::new(
-            String::new(),
-            json!({ "output": answer::path(&args.output), "pictures": pictures, "unsure": unsure, "without_a_face": lost }),
-        ));
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
     }
     Ok(())
 }
@@ -95,7 +164,8 @@ fn clips(path: &Path) -> Result<Vec<ClipFiles>> {
     Ok(clips)
 }
 
-fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
+/// What a model of the labels finds, and what may be expected of it.
+fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<(Labels, Option<f32>)> {
     let terminal = Terminal::default();
     let labeller = label::learn(clips, labelled, &terminal)?;
     let by_hand = labelled.labelled().len();
@@ -107,6 +177,16 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
         None => terminal.say("1 labelled picture: nothing says how far points will be off; label more"),
     }
     let labels = label::label(clips, labelled, &labeller, &terminal)?;
+    summary(&labels, &terminal)?;
+    Ok((labels, labeller.expected()))
+}
+
+/// Says what was found, and which pictures are to be looked at.
+///
+/// # Errors
+///
+/// That there is no face at all.
+pub(super) fn summary(labels: &Labels, terminal: &Terminal) -> Result<()> {
     let all: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
     let (unsure, lost) = labels.unsure();
     let doubtful: usize = unsure.values().map(Vec::len).sum();
@@ -115,7 +195,7 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
     }
     terminal.say(&format!(
         "{all} pictures of {} clips: {} found, {doubtful} of them unsure; {lost} without a face",
-        clips.len(),
+        labels.landmarks.clips().count(),
         all - lost
     ));
     let pictures = unsure
@@ -132,5 +212,5 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<Labels> {
             }
         ));
     }
-    Ok(labels)
+    Ok(())
 }

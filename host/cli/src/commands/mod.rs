@@ -25,6 +25,7 @@ mod features;
 mod flash;
 mod folds;
 mod landmarks;
+mod landmarks_page;
 mod manual;
 mod mos;
 mod prepare;

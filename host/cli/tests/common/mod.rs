@@ -6,6 +6,7 @@ mod arithmetic;
 #[path = "../../../../tests/tests/common/given.rs"]
 mod given;
 pub(crate) mod hcopy;
+pub(crate) mod heads;
 pub(crate) mod program;
 pub(crate) mod talker;
 

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::{Asked, Door};
+use super::view::{Asked, Watched};
 use crate::desk::Desk;
 use crate::event::{Announcement, Command, Event};
 use crate::face::{Face, Picture};
@@ -31,21 +31,21 @@ const BUFFER_MS: u32 = 40;
 
 /// `GET /live`: everything that happens, from now on.
 pub(super) async fn live(
-    State(door): State<Arc<Door>>,
+    State(watched): State<Arc<Watched>>,
     Query(asked): Query<Asked>,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if !door.lets_in(asked.token.as_deref()) {
+    if !watched.door.lets_in(asked.token.as_deref()) {
         return StatusCode::UNAUTHORIZED.into_response();
     }
-    if door.desk.hub().watchers() >= WATCHERS {
+    if watched.desk.hub().watchers() >= WATCHERS {
         return (StatusCode::SERVICE_UNAVAILABLE, "too many watch already").into_response();
     }
     let form = match asked.form.as_deref() {
         Some("json") => Form::Json,
         _ => Form::Binary,
     };
-    let desk = Arc::clone(&door.desk);
+    let desk = Arc::clone(&watched.desk);
     upgrade
         .max_message_size(MOST)
         .max_frame_size(MOST)

@@ -82,6 +82,30 @@ impl Landmarks {
         Ok(())
     }
 
+    /// Puts the landmarks of one picture in; pictures before it of which nothing is known have numbers that are not finite.
+    ///
+    /// # Errors
+    ///
+    /// That they are of another number.
+    pub fn put_picture(&mut self, clip: &str, picture: usize, points: &[[f32; 2]]) -> Result<()> {
+        ensure!(
+            points.len() == self.count,
+            Data,
+            "clip {clip} has {} landmarks in picture {picture}, not {}",
+            points.len(),
+            self.count
+        );
+        let before = self.of.remove(clip);
+        let length = before.as_ref().map_or(0, |points| points.dim().0);
+        let mut all = Array3::from_elem((length.max(picture + 1), self.count, 2), f32::NAN);
+        if let Some(before) = before {
+            all.slice_mut(s![..length, .., ..]).assign(&before);
+        }
+        let row = ndarray::ArrayView2::from_shape((points.len(), 2), points.as_flattened())?;
+        all.slice_mut(s![picture, .., ..]).assign(&row);
+        self.put(clip, all)
+    }
+
     /// Clips and their landmarks, by name.
     pub fn clips(&self) -> impl Iterator<Item = (&str, &Array3<f32>)> {
         self.of.iter().map(|(clip, points)| (clip.as_str(), points))

@@ -4,6 +4,7 @@
 //! which shapes there are, [`profile`] what a picture looks like across each point's contour, and [`ActiveShape`] finds a face's points by both (Cootes, Taylor, Cooper and
 //! Graham 1995). Nothing is known beforehand about how many points there are or what they mean.
 pub(crate) mod archive;
+pub mod growth;
 pub mod import;
 pub mod label;
 pub mod labeller;
@@ -15,6 +16,7 @@ pub(crate) mod table;
 #[cfg(test)]
 mod tests;
 
+pub use growth::Growth;
 pub use label::Labels;
 pub use labeller::Labeller;
 pub use search::{ActiveShape, Example, Fit, Look};
