@@ -263,3 +263,36 @@ fn labels_are_not_lost_to_another_table_or_an_early_end() {
     assert_eq!(kept.labelled().len(), 7);
     assert!(!root.join("all.npz").exists());
 }
+
+/// One label is enough to begin with: nothing says then where a face is, and the furthest picture tells most.
+#[test]
+fn it_grows_from_a_single_label() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path();
+    let truth = heads::talker(root);
+    let table = std::fs::read_to_string(root.join("some.csv")).unwrap();
+    let one: Vec<&str> = table.lines().take(2).collect();
+    std::fs::write(root.join("one.csv"), one.join("\n")).unwrap();
+    let page = page(
+        root,
+        "landmarks talker.mp4 --labelled one.csv -o all.npz --page labels.csv",
+    );
+    let mut state = page.state("/state", None);
+    assert_eq!(
+        (&state["labelled"], &state["expected"]),
+        (&json!(1), &Value::Null)
+    );
+    assert_eq!(
+        (&state["lost"], &state["proposal"]["confidence"]),
+        (&json!(23), &json!(0.0))
+    );
+    assert_eq!(state["proposal"]["picture"], json!(23));
+    for labelled in 2..5 {
+        let picture = state["proposal"]["picture"].as_u64().unwrap() as usize;
+        state = page.state("/accept", Some(corrected(&state, &json!(truth[picture]))));
+        assert_eq!(state["labelled"], json!(labelled));
+    }
+    assert!(state["expected"].as_f64().unwrap() > 0.0);
+    assert!(state["lost"].as_u64().unwrap() < 23, "{state}");
+    page.interrupt();
+}

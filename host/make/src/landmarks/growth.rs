@@ -1,5 +1,5 @@
 //! Labels that grow: the picture that the model is least sure of is shown with the points found in it, a person corrects them, and the model learns anew (COS section 6.1).
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use lipstream::progress::Progress;
@@ -142,23 +142,37 @@ impl Growth {
         self.propose()
     }
 
-    /// Proposes the least sure picture. One without a face stands behind the unsure ones: it may have none.
+    /// Proposes the least sure picture. One without a face stands behind the unsure ones: it may have none. Of equally sure ones, as all are while there are too few labels to find a face by, the furthest from those
+    /// that a person has seen tells most that is new.
     fn propose(&mut self) -> Result<()> {
         let sure = |confidence: f32| match confidence {
             0.0 => UNSURE,
             found => found,
         };
+        let labelled = self.labelled.labelled().into_iter();
+        let skipped = self
+            .skipped
+            .iter()
+            .map(|(clip, picture)| (clip.as_str(), *picture));
+        let mut seen: BTreeMap<&str, BTreeSet<usize>> = BTreeMap::new();
+        for (clip, picture) in labelled.chain(skipped) {
+            seen.entry(clip).or_default().insert(picture);
+        }
+        let apart = |clip: &str, picture: usize| {
+            let seen = seen.get(clip).into_iter().flatten();
+            seen.map(|of| of.abs_diff(picture)).min().unwrap_or(usize::MAX)
+        };
         let left = self.clips.iter().flat_map(|files| {
             let of_clip = self.found.confidence(&files.id).iter().enumerate();
             of_clip.map(move |(picture, confidence)| (files, picture, *confidence))
         });
-        let left = left.filter(|(files, picture, _)| {
-            self.labelled.picture(&files.id, *picture).is_none()
-                && !self.skipped.contains(&(files.id.clone(), *picture))
-        });
-        let next = left.min_by(|a, b| sure(a.2).total_cmp(&sure(b.2)));
+        let left =
+            left.map(|(files, picture, confidence)| (files, picture, confidence, apart(&files.id, picture)));
+        let next = left
+            .filter(|(.., apart)| *apart > 0)
+            .min_by(|a, b| sure(a.2).total_cmp(&sure(b.2)).then(b.3.cmp(&a.3)));
         self.proposal = match next {
-            Some((files, picture, confidence)) => Some(self.shown(files, picture, confidence)?),
+            Some((files, picture, confidence, _)) => Some(self.shown(files, picture, confidence)?),
             None => None,
         };
         Ok(())
