@@ -15,7 +15,7 @@ use serde_json::{Value, json};
 use crate::common;
 use crate::common::build::build_firmware;
 use crate::common::qemu::run_on_file_with;
-use crate::pico::{emulate, flashed, model, notices, other_tables, uf2};
+use crate::pico::{emulate, flashed, model, notices, other_tables, pico_settings, uf2};
 
 /// Speech for the slow start of three servos, and for what moves them then.
 const LENGTH: usize = 30_000;
@@ -68,10 +68,10 @@ fn calibration(driver: Driver) -> Calibration {
 type Wanted = Vec<(u8, Option<u16>)>;
 
 /// What the core asks for, hop by hop.
-fn wanted(model: &AnyModel, calibration: &Calibration, samples: &[i16]) -> Vec<Wanted> {
+fn wanted(settings: StreamSettings, calibration: &Calibration, samples: &[i16]) -> Vec<Wanted> {
     let mut servos = Servos::slowly(calibration);
     let read_out = calibration.read_out().expect("a read-out");
-    let frames = common::host_frames(model, StreamSettings::of(Profile::Standard), samples);
+    let frames = common::host_frames(&model(), settings, samples);
     let hops = frames.iter().map(|frame| {
         let (gap, width) = read_out.read(&frame.values);
         servos.step(&Mouth {
@@ -174,7 +174,7 @@ fn the_picos_pins_make_the_cores_pulses() {
     let job = json!({ "events": [], "flash": [flashed(), file] });
     let folder = emulate("pico-servos", &samples, job);
     samples.extend([0; 1600]);
-    let hops = wanted(&model(), &calibration, &samples);
+    let hops = wanted(pico_settings(Profile::Standard), &calibration, &samples);
     let pins = pulses(&folder);
     assert_eq!(
         pins.keys().copied().collect::<Vec<_>>(),
@@ -314,7 +314,8 @@ fn the_emulated_boards_line_carries_the_cores_pulses() {
         if driver == Driver::Maestro {
             (0..24).for_each(|k| expected.extend(output::maestro(k, output::MAESTRO_OFF)));
         }
-        for hop in wanted(&model(), &calibration, &common::hello()) {
+        let settings = StreamSettings::of(Profile::Standard);
+        for hop in wanted(settings, &calibration, &common::hello()) {
             if driver == Driver::Csv {
                 let mut text = String::new();
                 output::csv(hop.iter().map(|(_, pulse)| pulse.unwrap_or(0)), &mut text).expect("text");
