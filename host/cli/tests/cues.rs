@@ -4,7 +4,7 @@ mod common;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::program::{program, refuse, run, succeed};
+use common::program::{interrupt, program, refuse, run, succeed};
 
 fn path(path: &Path) -> String {
     path.to_str().expect("an ordinary name").to_owned()
@@ -405,10 +405,7 @@ fn an_interrupt_leaves_nothing() {
         assert!(begun.elapsed().as_secs() < 60, "nothing is written");
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    let killed = Command::new("kill")
-        .args(["-INT", &child.id().to_string()])
-        .status();
-    assert!(killed.unwrap().success());
+    interrupt(&child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
     assert_eq!(tree(&folder.join("out")), [""; 0]);
 }

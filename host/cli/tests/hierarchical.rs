@@ -41,6 +41,18 @@ fn drawn_heads(root: &Path) {
 /// The shipped model, by which clusters are chosen.
 const GUIDE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/grid-s1.safetensors");
 
+/// Draws a clip that took no part in training, as raw pictures on standard output.
+const RENDER: [&str; 8] = [
+    "render",
+    "features/wav/clip15.wav",
+    "-m",
+    "m.safetensors",
+    "--scale",
+    "1",
+    "-o",
+    "-",
+];
+
 const TRAIN: [&str; 14] = [
     "train",
     "features",
@@ -84,19 +96,7 @@ fn a_drawn_head_learns_to_speak() {
     assert_eq!(names, ["face", "mouth"]);
 
     // A clip that took no part: 65 pictures, dark where the mouth is open, as the recording is.
-    let pictures = run_with_programs(
-        root,
-        &[
-            "render",
-            "features/wav/clip15.wav",
-            "-m",
-            "m.safetensors",
-            "--scale",
-            "1",
-            "-o",
-            "-",
-        ],
-    );
+    let pictures = run_with_programs(root, &RENDER);
     assert!(
         pictures.status.success(),
         "{}",
@@ -173,17 +173,7 @@ fn a_drawn_head_learns_to_speak() {
 
     // Somebody who speaks at another level: a voice that is adapted to is drawn otherwise.
     let bytes = |adapt: &[&str]| {
-        let mut words = vec![
-            "render",
-            "features/wav/clip15.wav",
-            "-m",
-            "m.safetensors",
-            "--scale",
-            "1",
-            "-o",
-            "-",
-        ];
-        words.extend(adapt);
+        let words = [&RENDER[..], adapt].concat();
         let drawn = run_with_programs(root, &words);
         assert!(drawn.status.success(), "{}", text(&drawn.stderr));
         drawn.stdout

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
 use common::heads;
-use common::program::{one_line, program, run_with_programs};
+use common::program::{interrupt, one_line, program, run_with_programs};
 use lipstream_make::hierarchical::Landmarks;
 use serde_json::{Value, json};
 
@@ -89,14 +89,7 @@ impl Page {
     }
 
     fn interrupt(self) -> Output {
-        let pid = self.program.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args(["-INT", &pid])
-                .status()
-                .unwrap()
-                .success()
-        );
+        interrupt(&self.program);
         self.end()
     }
 }

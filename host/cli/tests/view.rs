@@ -8,7 +8,7 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use common::program::{one_line, program, refuse, run_with_programs, succeed};
+use common::program::{interrupt, one_line, program, refuse, run_with_programs, succeed};
 use lipstream_core::wire::{Hello, PROTOCOL};
 use lipstream_live::event::{Announcement, Event};
 use lipstream_live::recording::Recorder;
@@ -72,14 +72,7 @@ impl View {
 
     /// Presses Ctrl-C, and gives what it said on standard error.
     fn end(mut self) -> String {
-        let pid = self.program.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args(["-INT", &pid])
-                .status()
-                .unwrap()
-                .success()
-        );
+        interrupt(&self.program);
         let began = Instant::now();
         let status = loop {
             match self.program.try_wait().unwrap() {

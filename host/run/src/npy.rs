@@ -7,7 +7,7 @@ use std::path::Path;
 
 use lipstream_media::files::{self, FileError};
 use ndarray::{Array, Array2, Dimension};
-use ndarray_npy::{ReadNpyExt as _, ReadableElement};
+use ndarray_npy::{ReadNpyExt as _, ReadableElement, WritableElement, WriteNpyExt as _};
 
 use crate::error::{Error, Result, bail};
 
@@ -155,8 +155,7 @@ pub fn write_npy(path: &Path, array: &Array2<f32>) -> Result<()> {
 /// # Errors
 ///
 /// None for arrays of any shape that fits in memory; the writer's interface has them.
-pub fn npy_bytes(array: &Array2<f32>) -> Result<Vec<u8>> {
-    use ndarray_npy::WriteNpyExt;
+pub fn npy_bytes<T: WritableElement, D: Dimension>(array: &Array<T, D>) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     array.write_npy(&mut bytes)?;
     Ok(bytes)

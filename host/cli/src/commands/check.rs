@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use lipstream_make::check::{self, CheckSettings, Grade, Report};
-use lipstream_make::corpus::discover::{Options, discover};
+use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
 use lipstream_make::error::chain;
 
 use super::streams;
@@ -66,15 +66,21 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The videos of a folder; or the one that is given.
-pub(super) fn videos_of(path: &Path) -> Result<Vec<PathBuf>> {
+/// The clips of a folder that have a video; or the video that is given.
+pub(super) fn clips_of(path: &Path) -> Result<Vec<ClipFiles>> {
     if !path.is_dir() {
-        return Ok(vec![path.to_owned()]);
+        return Ok(vec![ClipFiles::of_video(path)]);
     }
     let found = discover(path, None, &Options::default())?.clips;
-    let videos: Vec<PathBuf> = found.into_iter().filter_map(|clip| clip.video).collect();
-    anyhow::ensure!(!videos.is_empty(), "{} holds no videos", path.display());
-    Ok(videos)
+    let clips: Vec<ClipFiles> = found.into_iter().filter(|clip| clip.video.is_some()).collect();
+    anyhow::ensure!(!clips.is_empty(), "{} holds no videos", path.display());
+    Ok(clips)
+}
+
+/// The videos of a folder; or the one that is given.
+pub(super) fn videos_of(path: &Path) -> Result<Vec<PathBuf>> {
+    let clips = clips_of(path)?.into_iter();
+    Ok(clips.filter_map(|clip| clip.video).collect())
 }
 
 fn print(text: &str) -> Result<()> {

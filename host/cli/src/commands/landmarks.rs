@@ -1,14 +1,15 @@
 //! `lipstream landmarks`: the points of a face in every picture of a video, from a few that are labelled.
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Result, bail};
 use lipstream::progress::Progress as _;
-use lipstream_make::corpus::discover::{ClipFiles, Options, discover};
+use lipstream_make::corpus::discover::ClipFiles;
 use lipstream_make::hierarchical::Landmarks;
 use lipstream_make::landmarks::import::{self, How};
 use lipstream_make::landmarks::{Labels, label};
 use serde::Serialize;
 
+use super::check::clips_of;
 use super::landmarks_page::{self, Told};
 use super::streams;
 use crate::progress::Terminal;
@@ -80,7 +81,7 @@ impl Report {
         output: &Path,
     ) -> Self {
         let (unsure, without) = labels.unsure();
-        let pictures = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+        let pictures = labels.landmarks.pictures();
         let unsure = unsure.into_iter().flat_map(|(clip, pictures)| {
             pictures.into_iter().map(move |picture| Unsure {
                 clip: clip.to_owned(),
@@ -110,14 +111,11 @@ fn size(words: &str) -> Result<(usize, usize), String> {
 }
 
 pub(crate) fn run(args: Args) -> Result<()> {
-    ensure!(
-        args.output.extension().is_some_and(|e| e == "csv" || e == "npz"),
-        "{}: landmarks are written as .npz or .csv; give the output such an ending",
-        args.output.display()
-    );
+    // Refused before the work, not after it.
+    label::form(&args.output)?;
     let read = args.labelled.iter().chain(&args.video);
     streams::keep_apart(&args.output, read.map(PathBuf::as_path))?;
-    let clips = args.video.as_deref().map(clips).transpose()?;
+    let clips = args.video.as_deref().map(clips_of).transpose()?;
     let how = How {
         first_picture: args.first_picture.into(),
         size: args.size,
@@ -153,17 +151,6 @@ pub(crate) fn run(args: Args) -> Result<()> {
     Ok(())
 }
 
-/// The videos of a folder; or the one that is given.
-fn clips(path: &Path) -> Result<Vec<ClipFiles>> {
-    if !path.is_dir() {
-        return Ok(vec![ClipFiles::of_video(path)]);
-    }
-    let found = discover(path, None, &Options::default())?.clips;
-    let clips: Vec<ClipFiles> = found.into_iter().filter(|clip| clip.video.is_some()).collect();
-    ensure!(!clips.is_empty(), "{} holds no videos", path.display());
-    Ok(clips)
-}
-
 /// What a model of the labels finds, and what may be expected of it.
 fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<(Labels, Option<f32>)> {
     let terminal = Terminal::default();
@@ -187,7 +174,7 @@ fn found(clips: &[ClipFiles], labelled: &Landmarks) -> Result<(Labels, Option<f3
 ///
 /// That there is no face at all.
 pub(super) fn summary(labels: &Labels, terminal: &Terminal) -> Result<()> {
-    let all: usize = labels.landmarks.clips().map(|(_, points)| points.dim().0).sum();
+    let all = labels.landmarks.pictures();
     let (unsure, lost) = labels.unsure();
     let doubtful: usize = unsure.values().map(Vec::len).sum();
     if lost == all {

@@ -137,7 +137,7 @@ impl Labelling for Page {
         let (unsure, lost) = found.unsure();
         Progress {
             labelled: self.growth.labelled().labelled().len(),
-            pictures: found.landmarks.clips().map(|(_, points)| points.dim().0).sum(),
+            pictures: found.landmarks.pictures(),
             unsure: unsure.values().map(Vec::len).sum(),
             lost,
             expected: self.growth.expected(),

@@ -1,7 +1,7 @@
 //! The `lipstream` program as a user runs it.
 use std::ffi::OsStr;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output};
 
 /// The program, built with this test.
 pub(crate) fn program() -> &'static Path {
@@ -46,6 +46,13 @@ pub(crate) fn succeed<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String
 /// Runs the program, which must refuse: exit code 1, nothing printed, one line of error, which is given.
 pub(crate) fn refuse<A: AsRef<OsStr>>(folder: &Path, arguments: &[A]) -> String {
     one_line(run(folder, arguments))
+}
+
+/// Presses Ctrl-C for a program that runs.
+pub(crate) fn interrupt(program: &Child) {
+    let pid = program.id().to_string();
+    let killed = Command::new("kill").args(["-INT", &pid]).status();
+    assert!(killed.expect("run kill").success());
 }
 
 /// The line of a program that must have refused.

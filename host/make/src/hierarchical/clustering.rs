@@ -22,7 +22,7 @@ fn distance(a: ArrayView1<f32>, b: ArrayView1<f32>) -> f32 {
 }
 
 /// The centre nearest to each row and its distance.
-fn nearest(rows: &Array2<f32>, centres: &Array2<f32>) -> Vec<(usize, f32)> {
+pub(super) fn nearest(rows: &Array2<f32>, centres: &Array2<f32>) -> Vec<(usize, f32)> {
     // |row − centre|² without |row|², which is the same for all centres.
     let products = rows.dot(&centres.t());
     let squares: Array1<f32> = centres.map_axis(Axis(1), |c| c.dot(&c));

@@ -2,9 +2,10 @@
 use lipstream::kinds::hierarchical::guide::{Advice, Choice, Reading, Teacher};
 use lipstream::kinds::hierarchical::{Guide, Node, SpeechMap};
 use lipstream_media::sound;
-use ndarray::{Array1, Array2, ArrayView1, Axis, concatenate, s};
+use ndarray::{Array1, Array2, Axis, concatenate, s};
 use rayon::prelude::*;
 
+use super::clustering::nearest;
 use super::maps::{self, Pairs};
 use super::pictures::Picked;
 use crate::error::{Context as _, Error, Result, ensure};
@@ -126,19 +127,12 @@ fn weigh(
 /// The cluster whose mean appearance is nearest to each row: its own, as k-means left them.
 fn members(map: &SpeechMap, appearance: &Array2<f32>) -> Vec<usize> {
     let size = map.appearance_size();
-    let means = map
-        .clusters
-        .iter()
-        .map(|cluster| &cluster.joint.mean.slice(s![..size]) / map.weight);
-    let means: Vec<Array1<f32>> = means.collect();
-    let off = |mean: &Array1<f32>, row: ArrayView1<f32>| -> f32 {
-        std::iter::zip(mean, row).map(|(m, c)| (m - c).powi(2)).sum()
-    };
-    let nearest = |row: ArrayView1<f32>| {
-        let distances = means.iter().map(|mean| off(mean, row)).enumerate();
-        distances.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(k, _)| k)
-    };
-    appearance.outer_iter().map(nearest).collect()
+    let mut means = Array2::zeros((map.clusters.len(), size));
+    for (cluster, mut mean) in map.clusters.iter().zip(means.outer_iter_mut()) {
+        mean.assign(&(&cluster.joint.mean.slice(s![..size]) / map.weight));
+    }
+    let found = nearest(appearance, &means).into_iter();
+    found.map(|(k, _)| k).collect()
 }
 
 fn reading(

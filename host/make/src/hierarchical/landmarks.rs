@@ -111,6 +111,11 @@ impl Landmarks {
         self.of.iter().map(|(clip, points)| (clip.as_str(), points))
     }
 
+    /// Pictures of all clips, with landmarks or without.
+    pub fn pictures(&self) -> usize {
+        self.clips().map(|(_, points)| points.dim().0).sum()
+    }
+
     /// Runs of landmarks that belong together; none where the file names none.
     pub fn groups(&self) -> &Groups {
         &self.groups

@@ -1,9 +1,9 @@
 //! Landmarks with their confidence into a NumPy archive: the layout that [`crate::hierarchical::Landmarks`] reads, and `confidence`, f32 `[clips, pictures]`.
 use std::io::{Cursor, Write as _};
 
+use lipstream::npy::npy_bytes;
 use lipstream_media::files;
-use ndarray::{Array1, Array2, Array4, Dimension, s};
-use ndarray_npy::{WritableElement, WriteNpyExt as _};
+use ndarray::{Array1, Array2, Array4, s};
 use std::path::Path;
 
 use super::label::Labels;
@@ -29,16 +29,16 @@ pub(super) fn write(path: &Path, labels: &Labels) -> Result<()> {
     let names: Vec<&str> = clips.iter().map(|(clip, _)| *clip).collect();
     let mut members = vec![
         ("clips", word_bytes(&names)),
-        ("pictures", npy_bytes(&lengths)?),
-        ("points", npy_bytes(&points)?),
-        ("confidence", npy_bytes(&confidence)?),
+        ("pictures", npy_bytes(&lengths).map_err(Error::other)?),
+        ("points", npy_bytes(&points).map_err(Error::other)?),
+        ("confidence", npy_bytes(&confidence).map_err(Error::other)?),
     ];
     let groups = labels.landmarks.groups();
     if !groups.is_empty() {
         let names: Vec<&str> = groups.iter().map(|(name, _)| name.as_str()).collect();
         let sizes: Array1<i64> = groups.iter().map(|(_, range)| range.len() as i64).collect();
         members.push(("groups", word_bytes(&names)));
-        members.push(("group_sizes", npy_bytes(&sizes)?));
+        members.push(("group_sizes", npy_bytes(&sizes).map_err(Error::other)?));
     }
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in members {
@@ -48,12 +48,6 @@ pub(super) fn write(path: &Path, labels: &Labels) -> Result<()> {
     }
     let bytes = zip.finish().map_err(Error::other)?.into_inner();
     files::write_bytes(path, &bytes).map_err(Error::other)
-}
-
-fn npy_bytes<T: WritableElement, D: Dimension>(array: &ndarray::Array<T, D>) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    array.write_npy(&mut bytes).map_err(Error::other)?;
-    Ok(bytes)
 }
 
 /// A NumPy array of Unicode strings: each as long as the longest, zeros behind a shorter one, four bytes a letter.

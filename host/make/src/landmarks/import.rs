@@ -9,7 +9,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::table::{self, MOST_PICTURES, dense, numbers, rows};
+use super::table::{self, MOST_PICTURES, as_many, dense, numbers, rows};
 use crate::error::{Context as _, Error, Result, bail, ensure};
 use crate::hierarchical::Landmarks;
 
@@ -323,13 +323,7 @@ fn pictures(
     let frame = head.iter().position(|cell| *cell == "frame").unwrap_or(0);
     let mut found = BTreeMap::new();
     for (line, cells) in lines {
-        ensure!(
-            cells.len() == head.len(),
-            File,
-            "{name}, line {line}: {} cells, the first line has {}",
-            cells.len(),
-            head.len()
-        );
+        as_many(name, line, &cells, &head)?;
         let Ok(number) = cells[frame].parse::<usize>() else {
             bail!(File, "{name}, line {line}: frame {:?} is no number", cells[frame]);
         };

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use lipstream::progress::{Progress, Steps};
 use lipstream_media::video::{self, Frames, MAX_LINES};
-use ndarray::{Array1, Array3, s};
+use ndarray::{Array1, Array3};
 use rayon::prelude::*;
 
 use super::labeller::{Labeller, UNSURE};
@@ -68,15 +68,36 @@ impl Labels {
     ///
     /// Another ending, and what the disk says.
     pub fn write(&self, path: &Path) -> Result<()> {
-        match path.extension().and_then(|ending| ending.to_str()) {
-            Some("csv") => table::write(path, self),
-            Some("npz") => archive::write(path, self),
-            _ => bail!(
-                Choice,
-                "{}: landmarks are written as .npz or .csv; give the output such an ending",
-                path.display()
-            ),
+        match form(path)? {
+            Form::Table => table::write(path, self),
+            Form::Archive => archive::write(path, self),
         }
+    }
+}
+
+/// What landmarks are written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// `.csv`
+    Table,
+    /// `.npz`
+    Archive,
+}
+
+/// What a name's ending asks for.
+///
+/// # Errors
+///
+/// Another ending than those two.
+pub fn form(path: &Path) -> Result<Form> {
+    match path.extension().and_then(|ending| ending.to_str()) {
+        Some("csv") => Ok(Form::Table),
+        Some("npz") => Ok(Form::Archive),
+        _ => bail!(
+            Choice,
+            "{}: landmarks are written as .npz or .csv; give the output such an ending",
+            path.display()
+        ),
     }
 }
 
@@ -156,29 +177,31 @@ pub fn label(
         let mut before: Option<Array1<f32>> = None;
         let (mut places, mut confidence) = (Vec::new(), Vec::new());
         each(files, |number, frames, reduction| {
-            let known = labelled.picture(&files.id, number);
-            let found = match known {
-                Some(points) => Some((reduced(points, reduction), 1.0)),
-                None => labeller
-                    .follow(
-                        frames,
-                        0,
-                        before.as_ref().map(|points| points.view()),
-                        &mut finder,
-                    )
-                    .map(|(fit, confidence)| (fit.points, confidence)),
+            let found = match labelled.picture(&files.id, number) {
+                Some(points) => {
+                    // Exactly as they were given, not as they come back from reduced pictures.
+                    places.extend(&points);
+                    Some((reduced(points, reduction), 1.0))
+                }
+                None => {
+                    let near = before.as_ref().map(|points| points.view());
+                    let found = labeller.follow(frames, 0, near, &mut finder);
+                    match &found {
+                        Some((fit, _)) => {
+                            places.extend(fit.points.iter().map(|v| (v + 0.5) * reduction - 0.5));
+                        }
+                        None => places.extend(std::iter::repeat_n(f32::NAN, 2 * labelled.count())),
+                    }
+                    found.map(|(fit, confidence)| (fit.points, confidence))
+                }
             };
             confidence.push(found.as_ref().map_or(0.0, |(_, confidence)| *confidence));
             before = found.map(|(points, _)| points);
-            match &before {
-                Some(points) => places.extend(points.iter().map(|v| (v + 0.5) * reduction - 0.5)),
-                None => places.extend(std::iter::repeat_n(f32::NAN, 2 * labelled.count())),
-            }
             Ok(())
         })?;
         steps.made();
         let points = Array3::from_shape_vec((confidence.len(), labelled.count(), 2), places)?;
-        Ok((kept(points, labelled, &files.id), confidence))
+        Ok((points, confidence))
     };
     let found: Vec<(Array3<f32>, Vec<f32>)> = clips.par_iter().map(of_clip).collect::<Result<_>>()?;
     let mut labels = Labels {
@@ -190,19 +213,6 @@ pub fn label(
         labels.confidence.insert(files.id.clone(), confidence);
     }
     Ok(labels)
-}
-
-/// Labelled points exactly as they were given, not as they come back from reduced pictures.
-fn kept(mut points: Array3<f32>, labelled: &Landmarks, clip: &str) -> Array3<f32> {
-    let given = labelled.labelled();
-    for (_, picture) in given.iter().filter(|(of, _)| *of == clip) {
-        if let Some(row) = labelled.of(clip).filter(|_| *picture < points.dim().0) {
-            points
-                .slice_mut(s![*picture, .., ..])
-                .assign(&row.slice(s![*picture, .., ..]));
-        }
-    }
-    points
 }
 
 /// Goes through the pictures of a clip one by one: `each(number, the picture alone, pixels of the video in one of its)`. Gives how many there are.

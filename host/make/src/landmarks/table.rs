@@ -25,6 +25,18 @@ pub(super) fn rows(text: &str) -> impl Iterator<Item = (usize, Vec<&str>)> {
         .map(|(n, line)| (n + 1, line.split(',').map(str::trim).collect()))
 }
 
+/// Refuses a line that has not as many cells as the first line, `head`.
+pub(super) fn as_many(name: &str, line: usize, cells: &[&str], head: &[&str]) -> Result<()> {
+    ensure!(
+        cells.len() == head.len(),
+        File,
+        "{name}, line {line}: {} cells, the first line has {}",
+        cells.len(),
+        head.len()
+    );
+    Ok(())
+}
+
 /// The text of a file.
 pub(super) fn text(path: &Path) -> Result<String> {
     let bytes = files::read_text(path).map_err(Error::other)?;
@@ -63,13 +75,7 @@ pub(super) fn parse(name: &str, text: &str) -> Result<Landmarks> {
     // Points of a clip by picture, empty where there is no face.
     let mut clips: BTreeMap<&str, BTreeMap<usize, Vec<f32>>> = BTreeMap::new();
     for (line, cells) in lines {
-        ensure!(
-            cells.len() == head.len(),
-            File,
-            "{name}, line {line}: {} cells, the first line has {}",
-            cells.len(),
-            head.len()
-        );
+        as_many(name, line, &cells, &head)?;
         let Some(picture) = cells[1].parse().ok().filter(|picture| *picture < MOST_PICTURES) else {
             bail!(
                 File,
